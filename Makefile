@@ -12,8 +12,7 @@ demo: $(VENV)/kernels
 	$(BIN)/hyperbit demo
 
 # The operator's page with simulated boards, until Ctrl-C.
-panel: $(VENV)/kernels
-	$(BIN)/pip install --quiet --editable '.[panel]'
+panel: $(VENV)/kernels $(VENV)/panel
 	$(BIN)/hyperbit run deploy/planar16.yaml --simulate --panel
 
 # Tests in real time mostly wait, so they run beside the others, which yield the processors to them. If one part fails,
@@ -116,6 +115,11 @@ $(VENV)/kernels: $(VENV)/program $(shell grep -rl @njit --include=*.py controlle
 	$(BIN)/python -m hyperbit.controller.host.kernels
 	touch $@
 
+# The libraries of the page.
+$(VENV)/panel: $(VENV)/program
+	$(BIN)/pip install --quiet --editable '.[panel]'
+	touch $@
+
 # And that of the tests' kernels. Without it each process of `make test` compiles them.
 $(VENV)/test-kernels: $(VENV)/kernels $(shell grep -rl @njit --include=*.py tests/benchmarks)
 	$(BIN)/python -m tests.kernels
@@ -126,9 +130,12 @@ $(VENV)/installed: $(VENV)/program
 	$(BIN)/pip install --quiet --editable '.[dev]'
 	touch $@
 
-# And what drives the browser.
+# And what drives the browser, and axe-core of npm, which looks at the page. Without npm the tests of axe are skipped.
+AXE := 4.14.1
 $(VENV)/page: $(VENV)/installed
 	$(BIN)/pip install --quiet --editable '.[dev,page]'
+	-cd $(VENV) && npm pack --silent axe-core@$(AXE) && \
+		tar -xzf axe-core-$(AXE).tgz --strip-components 1 package/axe.min.js && rm axe-core-$(AXE).tgz
 	touch $@
 
 clean:

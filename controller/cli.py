@@ -3,7 +3,9 @@
 A command's module is imported when the command runs: `hyperbit stop` must not wait for the kernels of the search.
 """
 
+import errno
 import importlib
+import io
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -13,9 +15,10 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from hyperbit.controller.commands.table import COMMANDS, GROUPS, CommandEntry
-from hyperbit.controller.host.machine_code import ADVICE, REFUSAL, watch
+from hyperbit.controller.host.machine_code import ADVICE, REFUSAL
 from hyperbit.controller.host.signals import exit_on_signals
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EMFILE, errno.ENFILE, errno.ENOMEM)  # of disk and system
 WIDE = {"max_content_width": 120}  # columns of --help, on terminals that have them
 
 
@@ -96,6 +99,13 @@ class Commands(TyperGroup):
     def get_params(self, ctx: Any) -> list[Any]:
         return [quick(parameter) for parameter in super().get_params(ctx)]
 
+    def invoke(self, ctx: Any) -> Any:
+        """Runs a command. Click would print "Aborted!" for an EOFError, such as one of a damaged file."""
+        try:
+            return super().invoke(ctx)
+        except EOFError as error:
+            raise RuntimeError(f"a file ends too early: {error}") from error
+
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Writes each group with its commands and one example."""
         width = max(map(len, COMMANDS))
@@ -137,8 +147,9 @@ def options(
 
 def main() -> None:
     """Runs the command line; an error that the user can correct becomes a message and an exit code."""
-    watch()
     exit_on_signals()
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # of terminals that are not UTF-8
     try:
         app()
     except Exception as error:
@@ -147,6 +158,9 @@ def main() -> None:
 
         if isinstance(error, RuntimeError) and REFUSAL in str(error):
             error = CommandFailed(f"numba cannot write its machine code: {ADVICE}")
+        if isinstance(error, OSError) and error.errno in FULL:
+            where = "" if error.filename is None else f"{error.filename}: "
+            error = CommandFailed(f"{where}{error.strerror}", "free it, and start the command again")
         if not isinstance(error, InputFaults | CommandFailed):
             raise
         sys.stderr.write(f"{error}\n")

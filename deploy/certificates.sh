@@ -89,6 +89,7 @@ client() {
   connect: { endpoints: ["tls/$(cat daemon/host):7447"] },
   scouting: { multicast: { enabled: false }, gossip: { enabled: false } },
   transport: {
+    shared_memory: { enabled: false },
     link: {
       tls: {
         root_ca_certificate: "ca.pem",

@@ -79,7 +79,21 @@ else
 fi
 keep "$project/deploy/zenoh.json5" /etc/hyperbit/zenoh.json5
 keep "$project/deploy/zenoh-router.json5" /etc/hyperbit/zenoh-router.json5
-keep "$project/deploy/can0.network" /etc/systemd/network/80-can0.network
+# One file for each bus of the arm, with its bit rate.
+"$prefix/bin/python" -c '
+import sys
+from pathlib import Path
+from hyperbit.controller.armfile.settings import read_settings
+for bus in read_settings(Path(sys.argv[1]))[0].buses:
+    if bus.interface == "socketcan":
+        print(bus.channel, bus.bitrate)
+' "$arm" | while read -r channel bitrate; do
+  target=/etc/systemd/network/80-$channel.network
+  [ ! -e "$target" ] || grep -qx "BitRate=$bitrate" "$target" ||
+    echo "Warning: $target has not the bit rate of $arm, $bitrate: change it, or remove it and run this again"
+  sed "s/^Name=.*/Name=$channel/; s/^BitRate=.*/BitRate=$bitrate/" "$project/deploy/can0.network" >"$prefix/bus.network"
+  keep "$prefix/bus.network" "$target"
+done
 keep "$project/deploy/can0.link" /etc/systemd/network/80-can0.link
 # A static group: by it the planner's user and operators may open the executor's socket.
 systemd-sysusers --inline 'g hyperbit -'

@@ -1,7 +1,8 @@
 """The arm of the paper and its densities, for every room's tests."""
 
 import gc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +88,6 @@ def solver(manipulator: Manipulator, densities: Densities) -> Solver:
 
 @pytest.fixture(scope="session")
 def read(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Any], Arm]:
-    """Loads a document by way of a file."""
     path = tmp_path_factory.mktemp("config") / "arm.yaml"
 
     class Plain(yaml.SafeDumper):
@@ -99,3 +99,9 @@ def read(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Any], Arm]:
         return load(path)
 
     return read
+
+
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    with ExitStack() as stack:
+        yield stack

@@ -60,14 +60,12 @@ class Interface:
         self._state[0] = UP
 
     def delete(self) -> None:
-        """Removes the interface, like a USB adapter that is unplugged."""
         with self._lock:
             self._state[0] = GONE
             for client in list(self._clients):
                 self._drop(client)
 
     def make(self) -> None:
-        """Adds it again, and brings it up."""
         self._state[0] = UP
 
     def hold(self) -> None:
@@ -76,7 +74,6 @@ class Interface:
             self._held = True
 
     def release(self) -> None:
-        """Lets what is queued leave."""
         with self._lock:
             self._held = self._off = False
             while self._queue:
@@ -96,7 +93,6 @@ class Interface:
             self.tell(RESTARTED)
 
     def tell(self, kind: int, detail: int = 0, tx_errors: int = 0, rx_errors: int = 0) -> None:
-        """Sends the daemon an error frame."""
         data = bytes([0, detail, 0, 0, 0, 0, tx_errors, rx_errors])
         with self._lock:
             for client, queued in self._clients.items():

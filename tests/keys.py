@@ -9,7 +9,6 @@ SCRIPT = DEPLOY / "certificates.sh"
 
 
 def made() -> bool:
-    """Returns whether this computer has openssl, which makes the keys."""
     return shutil.which("openssl") is not None
 
 

@@ -31,15 +31,11 @@ class Interface:
     """A vcan interface of the kernel; what happens to it is what a user does with `ip link` and `tc`.
 
     What leaves at once and what waits is told by the sender's socket: the daemon's frames are those of no priority.
-
-    Attributes:
-        name: as in `ip link`, the channel of python-can's socketcan.
     """
 
     name: str
 
     def make(self) -> None:
-        """Adds it, and brings it up."""
         _run("ip", "link", "add", "dev", self.name, "txqueuelen", "128", "type", "vcan")
         self.up()
 
@@ -50,7 +46,6 @@ class Interface:
         _run("ip", "link", "set", "dev", self.name, "down")
 
     def delete(self) -> None:
-        """Removes the interface, like a USB adapter that is unplugged."""
         _run("ip", "link", "delete", "dev", self.name)
 
     def hold(self) -> None:
@@ -59,7 +54,6 @@ class Interface:
         self._plug(_DAEMON)
 
     def release(self) -> None:
-        """Lets what is queued leave."""
         self._unplug(_DAEMON)
 
     def bus_off(self) -> None:
@@ -68,7 +62,6 @@ class Interface:
         self._plug(_OTHERS)
 
     def restart(self) -> None:
-        """Restarts the controller: what is queued leaves."""
         self._unplug(_OTHERS)
         self.release()
         self.tell(RESTARTED)
@@ -77,7 +70,6 @@ class Interface:
         """Does nothing: the kernel forwards a frame before the sender's call returns."""
 
     def tell(self, kind: int, detail: int = 0, tx_errors: int = 0, rx_errors: int = 0) -> None:
-        """Sends an error frame, as the driver of a controller does."""
         data = bytes([0, detail, 0, 0, 0, 0, tx_errors, rx_errors])
         with can.Bus(interface="socketcan", channel=self.name, ignore_config=True) as bus:
             give_way(bus, FIRST)
@@ -151,11 +143,7 @@ def make_room(bus: can.BusABC) -> None:
 
 
 def _run(*words: str) -> str:
-    """Runs `ip` or `tc`; returns what it prints.
-
-    Raises:
-        OSError: it is not there, or fails; with its words.
-    """
+    """Runs `ip` or `tc`; returns what it prints."""
     path = f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
     done = subprocess.run(words, capture_output=True, text=True, env={"PATH": path})
     if done.returncode != 0:

@@ -18,9 +18,7 @@ def eventually(
     """Returns the first true value of `what`, called again and again; fails if none comes in time.
 
     Args:
-        what: the condition.
         patience: time until it fails [s].
-        told: returns the message of the failure.
         every: pause between two calls [s], on a machine that is not slow.
     """
     until = time.monotonic() + patience

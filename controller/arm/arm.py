@@ -18,6 +18,7 @@ from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, 
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.manipulator.locked import LockedStates, lock_actuators, none_locked
 from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import tipped
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.obstacles.notation import parse_obstacles
 from hyperbit.controller.obstacles.obstacles import NONE, Obstacles, together
@@ -27,21 +28,16 @@ MOST_PIXELS = 2**19
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """An arm as its file describes it.
-
-    Attributes:
-        settings: the file's fields.
-        manipulator: the chain.
-        wiring: where each actuator is, in the order of `manipulator.actuators`; empty if the file maps none.
-        obstacles: the file's obstacles, which no module may touch.
-        path: path of the file; None if the arm was not read from a file.
-    """
+    """An arm as its file describes it."""
 
     settings: ArmSettings
     manipulator: Manipulator
+    # of each actuator, in the order of `manipulator.actuators`; empty if the file maps none
     wiring: tuple[ActuatorSettings, ...]
-    obstacles: Obstacles = NONE
-    path: Path | None = None
+    obstacles: Obstacles = NONE  # of the file; no module may touch them
+    path: Path | None = None  # of the file; None if the arm was not read from one
+    # frame (4, 4) of the tool's tip in the last module's frame; None: the tip is the last module's frame
+    tip: NDArray[np.float64] | None = None
 
     @cached_property
     def locked(self) -> LockedStates:
@@ -54,7 +50,7 @@ class Arm:
 
     @cached_property
     def reduced(self) -> Manipulator:
-        """The chain without the module states that the stuck actuators rule out."""
+        """The chain without the module states that stuck actuators exclude."""
         return lock_actuators(self.manipulator, self.locked)
 
     @property
@@ -88,8 +84,7 @@ class Arm:
     def weights(self, switches: Mapping[str, int] | None = None) -> NDArray[np.float64]:
         """Returns the cost of a switch of each actuator, shape (A,).
 
-        Args:
-            switches: number of switches of each actuator so far, by label; 0 if absent.
+        `switches` is the number of switches of each actuator so far, by label; 0 if absent.
         """
         modules, settings = len(self.manipulator.modules), self.settings.weights
         place = np.array([int(label.split(".")[0]) - 1 for label in self.manipulator.actuators])
@@ -104,21 +99,17 @@ class Arm:
 
     @property
     def tolerance(self) -> float:
-        """Position tolerance of goals without one of their own."""
+        """Default position tolerance of goals."""
         return self.settings.tolerance.position
 
     @property
     def angle_tolerance(self) -> float:
-        """Orientation tolerance of goals without one of their own [rad]."""
+        """Default orientation tolerance of goals [rad]."""
         return self.settings.tolerance.orientation
 
 
 def load(path: Path) -> Arm:
-    """Returns the arm that a YAML file describes.
-
-    Raises:
-        InputFaults: the file is missing or wrong; one line per fault, each with its line and the path of its field.
-    """
+    """Returns the arm that a YAML file describes. Raises InputFaults: one line for each fault, with its place."""
     with placed_faults(path):
         settings, faults = read_settings(path)
         return replace(build(settings, path, faults), path=path)
@@ -128,23 +119,25 @@ def build(settings: ArmSettings, path: Path, faults: list[str]) -> Arm:
     """Returns the arm that a file's fields describe.
 
     Args:
-        settings: the fields.
-        path: path of the file, for messages; tables are read from its folder.
-        faults: faults found so far.
+        path: of the file, for messages; tables are read from its folder.
+        faults: found so far.
 
     Raises:
         InputFaults: the fields are wrong; one line per fault, each with the path of its field.
     """
     modules = build_modules(settings.modules, path.parent, faults)
     base = build_frame(settings.base, "base", faults)
+    tip = None if settings.tip is None else build_frame(settings.tip, "tip", faults)
     if faults or not modules or base is None:
         raise InputFaults(path, faults)
+    if tip is not None:
+        modules[-1] = tipped(modules[-1], tip)
     manipulator = Manipulator(modules, base)
     wiring = map_actuators(settings, [module.actuators for module in modules], faults)
     if faults:
         raise InputFaults(path, faults)
     obstacles = parse_obstacles(settings.obstacles, manipulator.dimension, "obstacles", faults)
-    arm = Arm(settings, manipulator, wiring, obstacles)
+    arm = Arm(settings, manipulator, wiring, obstacles, tip=tip)
     if not faults and (walled := walled_in(arm)) is not None:
         faults.append(f"obstacles: {walled} in every state; the arm could not move")
     try:
@@ -157,7 +150,7 @@ def build(settings: ArmSettings, path: Path, faults: list[str]) -> Arm:
 
 
 def walled_in(arm: Arm) -> str | None:
-    """Returns what the first module touches, if it collides in every state; else None."""
+    """Returns the obstacle or module that the first module touches in every state; None if there is none."""
     clearance = arm.clearance(Manipulator(arm.manipulator.modules[:1], arm.manipulator.base))
     states = np.arange(len(arm.manipulator.modules[0].frames))[:, None]
     return clearance.where(states[0]) if clearance.blocked(states).all() else None

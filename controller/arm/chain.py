@@ -18,8 +18,8 @@ from hyperbit.controller.armfile.settings import (
     VgtSettings,
 )
 from hyperbit.controller.manipulator import frames
-from hyperbit.controller.manipulator.joints import prismatic, revolute
-from hyperbit.controller.manipulator.module import Module, transforms
+from hyperbit.controller.manipulator.joints import prismatic, revolute, summed
+from hyperbit.controller.manipulator.module import Module, binary_code, transforms
 from hyperbit.controller.manipulator.platform import platform
 from hyperbit.controller.manipulator.vgt import ACTUATORS, vgt
 
@@ -27,12 +27,9 @@ PLATFORMS: dict[tuple[int, ...], str] = {(6, 3): "six in space", (3, 3): "three 
 
 
 def build_modules(groups: Sequence[ModuleSettings], folder: Path, faults: list[str]) -> list[Module]:
-    """Returns the valid modules of the chain.
+    """Returns the valid modules of the chain from `modules` of the file; `folder` is that of the tables.
 
-    Args:
-        groups: `modules` of the file.
-        folder: folder of the tables.
-        faults: a sentence is appended for each wrong field.
+    A sentence is appended to `faults` for each wrong field.
     """
     modules: list[Module] = []
     for g, group in enumerate(groups):
@@ -87,26 +84,32 @@ def build_vgt(group: VgtSettings, path: str, faults: list[str], *, base_bar: boo
 
 
 def build_joint(group: RevoluteSettings | PrismaticSettings, path: str, faults: list[str]) -> list[Module]:
-    """Returns the joint; none if there are faults."""
     before = len(faults)
     if math.hypot(*group.axis) < 1e-9:
         faults.append(f"{path}.axis: a direction is needed, got {group.axis}")
     link = build_frame(group.link, f"{path}.link", faults)
-    if isinstance(group, RevoluteSettings):
-        twice = [a for k, a in enumerate(group.angles) if a in group.angles[:k]]
+    turns = isinstance(group, RevoluteSettings)
+    field, listed = ("angles", group.angles) if isinstance(group, RevoluteSettings) else ("lengths", group.lengths)
+    if (listed is None) == (group.cylinders is None):
+        faults.append(f"{path}: either {field} or cylinders are needed, got {'both' if listed else 'neither'}")
+    values = listed or []
+    if turns:
+        twice = [a for k, a in enumerate(values) if a in values[:k]]
         faults += [f"{path}.angles: {angle:g} occurs twice" for angle in twice]
     else:
-        falling = [(a, b) for a, b in pairwise(group.lengths) if a >= b]
+        falling = [(a, b) for a, b in pairwise(values) if a >= b]
         faults += [f"{path}.lengths: {b:g} after {a:g}, but each must be greater than the last" for a, b in falling]
+    same = [pair for pair in group.cylinders or [] if pair[0] == pair[1]]
+    faults += [f"{path}.cylinders: {a:g} contracted and extended, so the cylinder does nothing" for a, _ in same]
     if len(faults) > before or link is None:
         return []
-    if isinstance(group, RevoluteSettings):
-        return [revolute(group.axis, group.angles, link)]
-    return [prismatic([*group.axis, 0.0][:3], group.lengths, link)]
+    axis, kind = [*group.axis, 0.0][:3], revolute if turns else prismatic
+    if group.cylinders is None:
+        return [kind(axis, values, link)]
+    return [kind(axis, summed(group.cylinders), link, binary_code(1 << len(group.cylinders)))]
 
 
 def build_platform(group: PlatformSettings, path: str, faults: list[str]) -> list[Module]:
-    """Returns the platform; none if there are faults."""
     before, (contracted, extended) = len(faults), group.lengths
     if contracted >= extended:
         faults.append(f"{path}.lengths: {contracted:g} contracted, so not {extended:g} extended")

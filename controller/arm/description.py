@@ -1,4 +1,4 @@
-"""The description of the arm: the payload of `arm`, and the parts that it has on request."""
+"""The description of the arm: the payload of `arm`, and its parts on request."""
 
 import base64
 import hashlib
@@ -19,7 +19,6 @@ Payload = dict[str, Any]
 
 
 def description(arm: Arm) -> Payload:
-    """Returns the payload of `arm`."""
     manipulator = arm.manipulator
     return {
         "name": arm.settings.name,
@@ -29,6 +28,7 @@ def description(arm: Arm) -> Payload:
         "states": manipulator.states.tolist(),
         "frames": [module.frames.tolist() for module in manipulator.modules],
         "base": manipulator.base.tolist(),
+        "tip": np.eye(4).tolist() if arm.tip is None else arm.tip.tolist(),
         "actuators": list(manipulator.actuators),
         "contracted": format_configuration(manipulator, [0] * len(manipulator.modules)),
         "tolerance": {"position": arm.tolerance, "orientation": arm.angle_tolerance},
@@ -59,7 +59,7 @@ def drawing(arm: Arm) -> Payload:
 
 
 def file(arm: Arm) -> Payload | None:
-    """Returns the arm's file as it is now, with the tables that it names; None if it cannot be read.
+    """Returns the present file of the arm, with the tables that it names; None if it cannot be read.
 
     `sha256` is of the file's bytes.
     """

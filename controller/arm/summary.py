@@ -1,4 +1,4 @@
-"""A summary of an arm: what it consists of, and how far it reaches."""
+"""A summary of an arm: its parts and its reach."""
 
 import math
 from collections import Counter
@@ -12,7 +12,7 @@ MOST_NAMED = 6  # in a line of the summary
 
 
 def summarize(arm: Arm) -> dict[str, Any]:
-    """Returns the fields of `hyperbit check --json` that say what an arm is.
+    """Returns the fields of `hyperbit check --json` that describe an arm.
 
     `modules` has the number of modules by type, `boards` the number of boards by bus. `log2_configurations` is the
     binary logarithm of the number of configurations. Lengths are in the arm's unit, times in seconds.
@@ -39,7 +39,7 @@ def summarize(arm: Arm) -> dict[str, Any]:
 
 
 def summary_lines(fields: dict[str, Any]) -> list[tuple[str, str]]:
-    """Returns a summary in words: what, and its value."""
+    """Returns a summary in words: pairs of label and value."""
     modules = ", ".join(f"{count} {kind}" for kind, count in fields["modules"].items())
     buses = ", ".join(f"{count} on {bus}" for bus, count in fields["boards"].items())
     digits = fields["log2_configurations"]
@@ -57,5 +57,5 @@ def summary_lines(fields: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def shortened(names: list[str]) -> str:
-    """Returns names in a line, of many only the first and how many follow."""
+    """Joins names; of many only the first, with the number of the others."""
     return ", ".join(names[:MOST_NAMED]) + (f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else "")

@@ -5,17 +5,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from hyperbit.controller.armfile.choices import LARGEST, LARGEST_ANGLE, number
 from hyperbit.controller.armfile.csv_files import check_states, read_states
 from hyperbit.controller.manipulator import frames
 
 PLANAR, SPATIAL = ("x", "y", "th"), ("x", "y", "z", "qx", "qy", "qz", "qw")
-LARGEST, TURN = 1e6, 6.2832  # greatest length, and angle; as in the arm's file
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """The frames (4, 4) of a file's rows, and whether its columns are planar."""
-
     frames: list[frames.Frame]
     planar: bool
 
@@ -23,13 +21,8 @@ class Table:
 def read_table(folder: Path, name: str, path: str, faults: list[str]) -> Table | None:
     """Returns the frames in a CSV file, or None with the faults appended.
 
-    The first line names the columns, in any order: x, y, th [rad], or x, y, z and a quaternion qx, qy, qz, qw.
-
-    Args:
-        folder: of the arm's file.
-        name: of the CSV file, relative to the folder.
-        path: of the field that names the file.
-        faults: appended to, each beginning with `path`.
+    The first line names the columns, in any order: x, y, th [rad], or x, y, z and a quaternion qx, qy, qz, qw. `folder`
+    is that of the arm's file; each fault begins with `path`, the field that names the CSV file.
     """
     before, table = len(faults), read_states(folder, name, path, faults)
     if table is None:
@@ -47,18 +40,13 @@ def read_table(folder: Path, name: str, path: str, faults: list[str]) -> Table |
 
 def read_row(row: Sequence[str], columns: Sequence[str], where: str, faults: list[str]) -> frames.Frame | None:
     """Returns the frame of a row, or None and a fault."""
-    if len(row) != len(columns):
-        faults.append(f"{where}: {len(columns)} numbers are needed, got {len(row)}")
-        return None
     values: dict[str, float] = {}
     for column, text in zip(columns, row, strict=True):
+        most = LARGEST_ANGLE if column == "th" else LARGEST
         try:
-            values[column] = float(text)
-        except ValueError:
-            values[column] = math.nan
-        most = TURN if column == "th" else LARGEST
-        if not abs(values[column]) <= most:
-            faults.append(f"{where}: {column}: a number from -{most:g} to {most:g} is needed, got {text!r}")
+            values[column] = number(text, most)
+        except ValueError as error:
+            faults.append(f"{where}: {column}: {error}")
             return None
     if "th" in values:
         return frames.planar(values["x"], values["y"], values["th"])

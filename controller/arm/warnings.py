@@ -6,18 +6,33 @@ import numpy as np
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.actuators import travel_times
+from hyperbit.controller.armfile.choices import degrees_hint
 from hyperbit.controller.armfile.places import place
-from hyperbit.controller.armfile.settings import ArmSettings
+from hyperbit.controller.armfile.settings import (
+    ArmSettings,
+    BoxSettings,
+    PrismaticSettings,
+    RevoluteSettings,
+    TransformsSettings,
+)
 from hyperbit.controller.armfile.strict import fault_list
 from hyperbit.controller.manipulator.module import Module
 
 BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)  # of CiA 301 [bit/s]
+FAR = 20.0  # lengths of the arm, from which on an obstacle is likely to be in another unit
+LARGEST_USUAL_ANGLE = 4.72  # [rad], three quarters of a turn
 ODD_RATIO = 100.0  # of the size of a module to that of the others: millimetres among metres, or centimetres
 
 
 def file_warnings(arm: Arm) -> list[str]:
     """Returns the warnings about an arm's file, each with path and line of the file if the arm was read from one."""
-    found = [*size_warnings(arm), *pulse_warnings(arm.settings), *bit_rate_warnings(arm.settings)]
+    found = [
+        *size_warnings(arm),
+        *length_warnings(arm),
+        *angle_warnings(arm.settings),
+        *pulse_warnings(arm.settings),
+        *bit_rate_warnings(arm.settings),
+    ]
     if arm.path is None or not found:
         return found
     return [fault_list(str(arm.path), [warning.text], [warning.line]) for warning in place(arm.path, found)]
@@ -45,6 +60,60 @@ def size(module: Module) -> float:
     """Returns the greatest distance of a module's body or end from its base."""
     ends, bodies = np.asarray(module.frames)[:, :3, 3], module.body.reshape(-1, 3)
     return float(np.linalg.norm(np.concatenate([ends, bodies]), axis=1).max())
+
+
+def length_warnings(arm: Arm) -> list[str]:
+    """Returns a warning for each length of half the arm's or more, and for each obstacle many lengths away."""
+    settings, length, found = arm.settings, arm.manipulator.length, list[str]()
+    lengths = {
+        "tolerance.position": settings.tolerance.position,
+        "body_radius": settings.body_radius,
+        "workspace.pixel": settings.workspace.pixel,
+    }
+    if arm.tip is not None:
+        lengths["tip.position"] = float(np.linalg.norm(arm.tip[:3, 3]))
+    if settings.tracker is not None:
+        lengths |= {"tracker.noise": settings.tracker.noise, "tracker.clamp": settings.tracker.clamp}
+    for path, own in lengths.items():
+        if length > 0 and own is not None and own >= length / 2:
+            found.append(f"{path}: {own:g}, but the whole arm is {length:.4g} long; check the unit")
+    base = arm.manipulator.base[: arm.manipulator.dimension, 3]
+    for k, obstacle in enumerate(settings.obstacles):
+        for name, it in (("disc", obstacle.disc), ("sphere", obstacle.sphere), ("box", obstacle.box)):
+            if it is None:
+                continue
+            size = max(it.size) if isinstance(it, BoxSettings) else it.radius
+            away = float(np.linalg.norm(np.array(it.centre) - base))
+            if length > 0 and max(size, away - size) > FAR * length:
+                text = f"{size:g} large and {away:.4g} from the arm's base, but the whole arm is {length:.4g} long"
+                found.append(f"obstacles[{k}].{name}: {text}; check the unit")
+    return found
+
+
+def angle_warnings(settings: ArmSettings) -> list[str]:
+    """Returns a warning for each angle that is likely to be in degrees."""
+    found: dict[str, object] = {"base.orientation": settings.base.orientation}
+    found["tolerance.orientation"] = settings.tolerance.orientation
+    if settings.tip is not None:
+        found["tip.orientation"] = settings.tip.orientation
+    for g, group in enumerate(settings.modules):
+        if isinstance(group, RevoluteSettings):
+            found |= {f"modules[{g}].angles[{k}]": angle for k, angle in enumerate(group.angles or ())}
+            pairs = enumerate(group.cylinders or ())
+            found |= {f"modules[{g}].cylinders[{k}][{j}]": a for k, pair in pairs for j, a in enumerate(pair)}
+        if isinstance(group, RevoluteSettings | PrismaticSettings):
+            found[f"modules[{g}].link.orientation"] = group.link.orientation
+        if isinstance(group, TransformsSettings):
+            found |= {
+                f"modules[{g}].states[{k}].orientation": it.orientation for k, it in enumerate(group.states or ())
+            }
+    boxes = ((k, obstacle.box) for k, obstacle in enumerate(settings.obstacles))
+    found |= {f"obstacles[{k}].box.angle": box.angle for k, box in boxes if box is not None}
+    return [
+        f"{path}: {angle:g} rad are more than three quarters of a turn{degrees_hint(angle)}"
+        for path, angle in found.items()
+        if isinstance(angle, float) and abs(angle) > LARGEST_USUAL_ANGLE
+    ]
 
 
 def pulse_warnings(settings: ArmSettings) -> list[str]:

@@ -63,10 +63,12 @@ def actuator_names(groups: Sequence[ModuleSettings], folder: Path, faults: list[
         match group:
             case VgtSettings():
                 names = VGT
+            case RevoluteSettings(cylinders=[*cylinders]) | PrismaticSettings(cylinders=[*cylinders]):
+                names = numbered(len(cylinders))
             case RevoluteSettings():
-                names = numbered(code_length(len(group.angles)))
+                names = numbered(code_length(len(group.angles or ())))
             case PrismaticSettings():
-                names = numbered(code_length(len(group.lengths)))
+                names = numbered(code_length(len(group.lengths or ())))
             case PlatformSettings():
                 names = numbered(len(group.base))
             case TransformsSettings():

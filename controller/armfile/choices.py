@@ -9,7 +9,12 @@ from typing import Any, Literal, Union, get_args, get_origin
 
 from msgspec import Struct
 
-NUMBER = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*([a-zA-Zµ°/]*)")
+NUMBER = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]{1,3})?)\s*([a-zA-Zµ°/]*)")
+DECIMAL_COMMA = re.compile(r"([-+]?[0-9]+),([0-9]+)")
+LARGEST = 1e6  # of lengths and other numbers; greater ones are mistakes of the unit, and overflow when they are squared
+LARGEST_ANGLE = 12.5664  # [rad], two turns; greater ones are degrees
+MOST_DEGREES = 720.0
+RADIANS = "in radians"
 UNITS = {  # factor of a unit, and what the field expects
     "us": (1e-6, "seconds"),
     "µs": (1e-6, "seconds"),
@@ -87,6 +92,8 @@ def hint_of(value: object, kind: Any) -> str:
     """Returns what to write in place of a value that does not suit a type, e.g. "; write 0.1 (seconds)"; else ""."""
     unit = description_of(kind)
     in_unit = f"; {unit}" if unit else ""
+    if unit == RADIANS and isinstance(value, int | float):
+        return degrees_hint(value)
     if isinstance(value, str) and takes(kind, int, float):
         return number_hint(value) or in_unit
     if isinstance(value, int | float) and takes(kind, str):
@@ -96,20 +103,49 @@ def hint_of(value: object, kind: Any) -> str:
     return in_unit
 
 
+def number(text: str, most: float = LARGEST, least: float | None = None) -> float:
+    """Returns the number that a field of a file or command line is: decimal digits, a point, an exponent.
+
+    Args:
+        text: the field.
+        most: greatest number.
+        least: least number; None: -`most`.
+
+    Raises:
+        ValueError: the text is none, or the number is out of these bounds.
+    """
+    least, match = -most if least is None else least, NUMBER.fullmatch(text.strip())
+    if match is None or match[2]:
+        raise ValueError(f"a number is needed, got {text!r}{number_hint(text)}")
+    if not least <= (value := float(match[1])) <= most:
+        degrees = degrees_hint(value) if most == LARGEST_ANGLE else ""
+        raise ValueError(f"a number from {least:g} to {most:g} is needed, got {text!r}{degrees}")
+    return value
+
+
+def degrees_hint(value: float) -> str:
+    """Returns what to write in place of an angle that is too large for radians."""
+    if abs(value) > MOST_DEGREES:
+        return f"; {RADIANS}"
+    return f"; in radians, {value:g} degrees are {math.radians(value):.4g}"
+
+
 def number_hint(text: str) -> str:
     """Returns what to write in place of a number that is given as text; "" if the text is no number."""
+    if (comma := DECIMAL_COMMA.fullmatch(text.strip())) is not None:
+        return f"; write a decimal point: {comma[1]}.{comma[2]}"
     match = NUMBER.fullmatch(text.strip())
     if match is None:
         return ""
-    number, unit = float(match[1]), match[2]
+    value, unit = float(match[1]), match[2]
     if unit in LENGTHS:
         return "; write a number without a unit: all lengths of a file have the same one"
     if not unit:
-        return f"; YAML reads it as text: write {plain(number)}"
+        return f"; YAML reads it as text: write {plain(value)}"
     if unit not in UNITS:
         return "; write a number without a unit"
     factor, name = UNITS[unit]
-    return f"; write {plain(number * factor)} ({name})"
+    return f"; write {plain(value * factor)} ({name})"
 
 
 def members_of(kind: Any) -> tuple[Any, ...]:

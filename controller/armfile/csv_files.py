@@ -2,17 +2,18 @@
 
 import csv
 from collections.abc import Iterator
-from itertools import islice, zip_longest
+from itertools import islice
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
 from hyperbit.controller.armfile.strict import InputFaults
 
 MOST_STATES = 4096  # rows of a table of measured frames
+COMMAS = "a number has a decimal point, such as 0.3, and a text with commas stands in quotes"
 
 
 class CsvRow(NamedTuple):
-    """The fields of a row, and the number of its last line."""
+    """A field for each column, "" where the row ends before, and the number of the row's last line."""
 
     line: int
     fields: list[str]
@@ -24,32 +25,41 @@ class CsvFile(NamedTuple):
     columns: list[str]  # names in the first line; empty for an empty file
     rows: list[CsvRow]  # rows in the file's order, without empty lines
 
-    def records(self) -> Iterator[tuple[int, dict[str, str]]]:
-        """Yields line number and fields by column of each row; missing fields are empty, further fields are ignored."""
-        for row in self.rows:
-            yield row.line, record_of(self.columns, row)
-
 
 def csv_rows(path: Path) -> Iterator[CsvRow]:
-    """Yields the rows of a CSV file as they are read, the names of the columns first; an empty line has no fields.
+    """Yields the rows of a CSV file as they are read, the names of the columns first, and no empty lines.
 
     Raises:
-        InputFaults: the file cannot be read.
+        InputFaults: the file cannot be read, a column occurs twice, or a row has more fields than there are columns.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets write a byte order mark
             reader = csv.reader(file, skipinitialspace=True, strict=True)
-            yield CsvRow(1, [column.strip() for column in next(reader, [])])
+            columns = [column.strip() for column in next(reader, [])]
+            check_columns(path, columns)
+            yield CsvRow(1, columns)
             for fields in reader:
-                yield CsvRow(reader.line_num, fields)
+                if len(fields) > len(columns):
+                    fault = f"line {reader.line_num}: {len(columns)} fields are needed, got {len(fields)}; {COMMAS}"
+                    raise InputFaults(path, [fault])
+                if fields:
+                    yield CsvRow(reader.line_num, fields + [""] * (len(columns) - len(fields)))
+    except InputFaults:
+        raise
     except (OSError, ValueError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else error
+        reason = f"{error}; save it as UTF-8" if isinstance(error, UnicodeDecodeError) else reason
         raise InputFaults(path, [f"cannot be read: {reason}"]) from None
 
 
-def record_of(columns: list[str], row: CsvRow) -> dict[str, str]:
-    """Returns the fields of a row by column; missing fields are empty, further fields are ignored."""
-    return dict(zip_longest(columns, row.fields[: len(columns)], fillvalue=""))
+def check_columns(path: Path, columns: list[str]) -> None:
+    """Raises InputFaults if a column occurs twice, or commas do not separate the columns."""
+    faults = [f"column {name!r} occurs twice" for k, name in enumerate(columns) if name in columns[:k]]
+    for mark, name in ((";", "semicolons"), ("\t", "tabs")):
+        if any(mark in column for column in columns):
+            faults.append(f"{name} separate the columns: write commas, and numbers with a decimal point")
+    if faults:
+        raise InputFaults(path, faults)
 
 
 def read_csv(path: Path, most: int | None = None) -> CsvFile:
@@ -60,11 +70,10 @@ def read_csv(path: Path, most: int | None = None) -> CsvFile:
         most: most rows to accept; one more is read, so that the caller sees that the file has more. None: no limit.
 
     Raises:
-        InputFaults: the file cannot be read.
+        InputFaults: as in `csv_rows`.
     """
     rows = csv_rows(path)
-    columns, lines = next(rows).fields, islice(rows, None if most is None else most + 1)
-    return CsvFile(columns, [row for row in lines if row.fields])
+    return CsvFile(next(rows).fields, list(islice(rows, None if most is None else most + 1)))
 
 
 def read_states(folder: Path, name: str | None, field: str, faults: list[str]) -> CsvFile | None:

@@ -1,9 +1,12 @@
 """A copy of an arm's file with long time-outs, for simulated arms on a computer that stands still at times."""
 
-from pathlib import Path
+import contextlib
+import shutil
+from pathlib import Path, PurePath
 
 import yaml
 
+from hyperbit.controller.armfile.documents import read_yaml
 from hyperbit.controller.armfile.places import placed_faults
 from hyperbit.controller.armfile.settings import read_settings
 from hyperbit.controller.armfile.strict import InputFaults
@@ -27,15 +30,17 @@ def patient_copy(file: Path, folder: Path) -> Path:
         _, faults = read_settings(file)
         if faults:
             raise InputFaults(file, faults)
-    document = yaml.safe_load(file.read_text())
+    document = read_yaml(file)
     boards = document.get("boards") or {}
     document["boards"] = {**boards, "heartbeat_timeout": lengthened(boards.get("heartbeat_timeout"))}
     document["planner_timeout"] = lengthened(document.get("planner_timeout"))
     for module in document["modules"]:
-        if "table" in module:
-            module["table"] = str(file.resolve().parent / module["table"])
+        if (name := module.get("table")) is not None and not PurePath(name).is_absolute():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            with contextlib.suppress(OSError):  # the reader of the copy tells
+                shutil.copyfile(file.parent / name, folder / name)
     copy = folder / file.name
-    copy.write_text(yaml.safe_dump(document))
+    copy.write_text(yaml.safe_dump(document, allow_unicode=True), encoding="utf-8")
     return copy
 
 

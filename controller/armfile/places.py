@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from hyperbit.controller.armfile.strict import InputFaults, build_loader
+from hyperbit.controller.armfile.documents import build_loader
+from hyperbit.controller.armfile.strict import InputFaults
 
 if TYPE_CHECKING:
     import yaml

@@ -5,11 +5,12 @@ from typing import Annotated, Final, Literal
 
 from msgspec import Meta, Struct, field
 
-from hyperbit.controller.armfile.strict import InputFaults, check, read_yaml
+from hyperbit.controller.armfile.choices import LARGEST, LARGEST_ANGLE, RADIANS
+from hyperbit.controller.armfile.documents import read_yaml
+from hyperbit.controller.armfile.strict import InputFaults, check
 
-# Greater lengths are mistakes of the unit, and overflow when they are squared.
-Positive = Annotated[float, Meta(gt=0, le=1e6)]
-Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Positive = Annotated[float, Meta(gt=0, le=LARGEST)]
+Coordinate = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
 Pair = tuple[Positive, Positive]
 Count = Annotated[int, Meta(ge=1, le=10_000)]
 Bit = Annotated[int, Meta(ge=0, le=2031)]  # of 254 bytes
@@ -22,8 +23,8 @@ Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z", description=NAME)]
 Vector = Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
 Direction = Annotated[list[Coordinate], Meta(min_length=3, max_length=3)]
 Sides = Annotated[list[Positive], Meta(min_length=2, max_length=3)]
-# Greater angles are degrees or mistakes.
-Angle = Annotated[float, Meta(ge=-6.2832, le=6.2832, description="in radians")]
+Angle = Annotated[float, Meta(ge=-LARGEST_ANGLE, le=LARGEST_ANGLE, description=RADIANS)]
+AngleTolerance = Annotated[float, Meta(ge=1e-9, le=LARGEST_ANGLE, description=RADIANS)]
 Quaternion = Annotated[list[Coordinate], Meta(min_length=4, max_length=4)]
 Diagonal = Literal["BC", "AD"]  # of a truss module
 PaperMethod = Literal["pop", "ipop-previous", "ipop-contracted"]
@@ -40,7 +41,7 @@ class FrameSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """A frame: planar with an angle [rad], or spatial with a quaternion x, y, z, w."""
 
     position: Vector
-    orientation: float | Quaternion = 0.0
+    orientation: Angle | Quaternion = 0.0
 
 
 class VgtLengths(Struct, forbid_unknown_fields=True, frozen=True):
@@ -61,19 +62,21 @@ class VgtSettings(Struct, tag_field="type", tag="vgt", forbid_unknown_fields=Tru
 
 
 class RevoluteSettings(Struct, tag_field="type", tag="revolute", forbid_unknown_fields=True, frozen=True):
-    """`count` revolute joints that stand at one of the angles [rad], each followed by a link."""
+    """`count` revolute joints at one of the angles, or turned by cylinders in series [rad], each followed by a link."""
 
-    angles: Annotated[list[Angle], Meta(min_length=2, max_length=4096)]
+    angles: Annotated[list[Angle], Meta(min_length=2, max_length=4096)] | None = None
+    cylinders: Annotated[list[tuple[Angle, Angle]], Meta(min_length=1, max_length=12)] | None = None
     axis: Direction = field(default_factory=lambda: [0.0, 0.0, 1.0])
     link: FrameSettings = FrameSettings([0.0, 0.0])
     count: Count = 1
 
 
 class PrismaticSettings(Struct, tag_field="type", tag="prismatic", forbid_unknown_fields=True, frozen=True):
-    """`count` prismatic joints that stand at one of the lengths, each followed by a link."""
+    """`count` prismatic joints at one of the lengths, or moved by cylinders in series, each followed by a link."""
 
     axis: Vector
-    lengths: Annotated[list[Coordinate], Meta(min_length=2, max_length=4096)]
+    lengths: Annotated[list[Coordinate], Meta(min_length=2, max_length=4096)] | None = None
+    cylinders: Annotated[list[tuple[Coordinate, Coordinate]], Meta(min_length=1, max_length=12)] | None = None
     link: FrameSettings = FrameSettings([0.0, 0.0])
     count: Count = 1
 
@@ -139,7 +142,7 @@ class ToleranceSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """Default tolerances of goals."""
 
     position: Positive
-    orientation: Positive = 0.05  # [rad]
+    orientation: AngleTolerance = 0.05
 
 
 class WeightSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -284,6 +287,7 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     # Silence of the planner until the executor holds.
     planner_timeout: Annotated[float, Meta(ge=0.5, le=60, description="in seconds")] = 1.0
     base: FrameSettings = FrameSettings([0.0, 0.0])
+    tip: FrameSettings | None = None
     workspace: WorkspaceSettings = WorkspaceSettings()
     planning: PlanningSettings = PlanningSettings()
     method: Method = MINIMUM_SWITCH
@@ -294,7 +298,7 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     real_time: RealTimeSettings | None = None
     tracker: TrackerSettings | None = None
     obstacles: ObstacleList = field(default_factory=list)
-    body_radius: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
+    body_radius: Annotated[float, Meta(ge=0, le=LARGEST)] = 0.0
     self_collision: bool = False
     buses: list[BusSettings] = field(default_factory=list)
     actuators: list[ActuatorSettings] = field(default_factory=list)

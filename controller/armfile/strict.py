@@ -2,10 +2,9 @@
 
 import math
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 from types import UnionType
-from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 from msgspec import Struct
@@ -19,9 +18,6 @@ from hyperbit.controller.armfile.choices import (
     values_of,
     wrong_choice,
 )
-
-if TYPE_CHECKING:
-    import yaml
 
 S = TypeVar("S", bound=Struct)
 
@@ -40,75 +36,18 @@ class InputFaults(ValueError):
     def __init__(self, path: Path, faults: Sequence[str], lines: Sequence[int | None] = ()) -> None:
         """Stores the faults; the message has one line for each."""
         self.faults = tuple(fault.encode("utf-8", "backslashreplace").decode() for fault in faults)
-        self.lines = tuple(lines)
+        self.lines, self._path = tuple(lines), path
         super().__init__(fault_list(str(path), self.faults, self.lines))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Returns how pickle builds the exception again, in another process."""
+        return InputFaults, (self._path, self.faults, self.lines)
 
 
 def fault_list(file: str, faults: Sequence[str], lines: Sequence[int | None] = ()) -> str:
     """Returns a message with one line for each fault, such as "arm.yaml, line 12: modules[1].width: ..."."""
     places = [file if line is None else f"{file}, line {line}" for line in lines] or [file] * len(faults)
     return "\n".join(f"{place}: {fault}" for place, fault in zip(places, faults, strict=True))
-
-
-@cache
-def build_loader() -> type["yaml.SafeLoader"]:
-    """Returns the class that reads YAML; yaml is imported here, so that `hyperbit stop` need not wait for it."""
-    import yaml
-
-    class Loader(yaml.SafeLoader):
-        """Safe YAML without aliases and without duplicate keys; PyYAML would silently keep the last of these."""
-
-        def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-            """Returns the next node."""
-            if self.check_event(yaml.AliasEvent):  # a few lines of aliases can stand for more than any memory holds
-                event = self.peek_event()  # type: ignore[no-untyped-call]
-                problem = f"alias *{event.anchor}: write its value out instead"
-                raise yaml.composer.ComposerError(None, None, problem, event.start_mark)
-            return super().compose_node(parent, index)
-
-        def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-            """Returns the mapping of a node."""
-            seen: set[str] = set()
-            for key, _ in node.value:
-                if str(key.value) in seen:
-                    raise yaml.constructor.ConstructorError(None, None, f"{key.value!r} occurs twice", key.start_mark)
-                seen.add(str(key.value))
-            return super().construct_mapping(node, deep)
-
-    return Loader
-
-
-def read_yaml(path: Path) -> Any:
-    """Returns the plain value of a YAML file.
-
-    Raises:
-        InputFaults: the file is missing, unreadable or not YAML.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputFaults(path, ["no such file"]) from None
-    except (OSError, ValueError) as error:
-        raise InputFaults(path, [f"cannot be read: {error}"]) from None
-    return parse_yaml(text, path)
-
-
-def parse_yaml(text: str, path: Path) -> Any:
-    """Returns the plain value of a YAML text; faults name `path`.
-
-    Raises:
-        InputFaults: the text is not YAML.
-    """
-    import yaml
-
-    try:
-        return yaml.load(text, build_loader())
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        mark = getattr(error, "problem_mark", None)
-        line = None if mark is None else mark.line + 1
-        raise InputFaults(path, [f"is not YAML: {' '.join(str(error).split())}"], [line]) from None
-    except (LookupError, AttributeError):  # raised by PyYAML's constructors of tagged values, e.g. `!!bool maybe`
-        raise InputFaults(path, ["is not YAML: a value does not suit its !!tag"]) from None
 
 
 def check(value: Any, kind: type[S], faults: list[str]) -> S | None:

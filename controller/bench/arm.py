@@ -28,7 +28,6 @@ class BenchArm:
 
     @cached_property
     def arm(self) -> library.Arm:
-        """The arm as an object of the library `hyperbit`, obstacles included."""
         return library.Arm._of(self.model)
 
     @property
@@ -66,7 +65,6 @@ class BenchArm:
 
     @cached_property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """The arm's obstacles."""
         found: list[Obstacle] = []
         kind: Any
         for region in self.model.settings.obstacles:
@@ -78,7 +76,6 @@ class BenchArm:
 
     @cached_property
     def clearance(self) -> BodyClearance:
-        """Collision checks of the arm."""
         return self.model.clearance()
 
     @cached_property

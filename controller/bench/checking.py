@@ -1,4 +1,4 @@
-"""Checks an answer by forward kinematics and recounted switches, without trust in the method."""
+"""Checks an answer by forward kinematics and recounted switches; trusts no claim of the method."""
 
 import math
 from collections.abc import Callable
@@ -21,8 +21,6 @@ class InvalidAnswer(Exception):
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of one goal."""
-
     solved: bool  # whether the answer is within the tolerances and collision-free
     switches: int  # recounted, of the answer; 0 if it is not solved
     seconds: float  # time of the method

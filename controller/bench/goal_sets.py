@@ -34,8 +34,6 @@ SETS = {
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One goal of a set."""
-
     arm: str  # name of a file in `arms`
     start: Configuration  # shape (B,)
     position: tuple[float, ...]  # of the tip in the world, shape (2,) or (3,)
@@ -48,7 +46,6 @@ class Task:
 
     @property
     def proven(self) -> bool:
-        """Whether `switches` is the proven minimum."""
         return self.switches == self.bound
 
     @property
@@ -58,7 +55,6 @@ class Task:
 
 
 def goal_frame(position: tuple[float, ...], angle: float | None) -> Frame:
-    """Returns a goal in the world, shape (4, 4)."""
     if len(position) == 2:
         return frames.planar(position[0], position[1], angle or 0.0)
     return frames.spatial(position)
@@ -70,7 +66,8 @@ def load_arm(name: str) -> Arm:
 
 
 def read(name: str) -> list[Task]:
-    return [task(row) for _, row in read_csv(FOLDER / "sets" / f"{name}.csv").records()]
+    columns, rows = read_csv(FOLDER / "sets" / f"{name}.csv")
+    return [task(dict(zip(columns, row.fields, strict=True))) for row in rows]
 
 
 def task(row: dict[str, str]) -> Task:
@@ -92,7 +89,6 @@ def task(row: dict[str, str]) -> Task:
 
 
 def by_arm(tasks: list[Task]) -> dict[str, list[Task]]:
-    """Returns goals by the names of their arms, in their order."""
     return {name: [t for t in tasks if t.arm == name] for name in dict.fromkeys(t.arm for t in tasks)}
 
 

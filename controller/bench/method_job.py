@@ -1,4 +1,4 @@
-"""One method on one arm, as a job whose shares are goals: what a worker prepares, solves, measures and checks."""
+"""One method on one arm, as a job whose shares are goals: a worker prepares, solves, measures and checks."""
 
 import ctypes
 import gc
@@ -32,7 +32,7 @@ class MethodJob(NamedTuple):
     limit: float
 
     def prepare(self) -> Run:
-        """Prepares the method; results are outcomes, each with the time of `prepare` and of the first goal [s]."""
+        """Prepares the method; outcomes come with the time of `prepare` and of the first goal [s]."""
         arm = BenchArm(self.arm, self.model)
         began = time.perf_counter()
         solve, outcome = prepared(self.method, arm, self.first, self.limit)
@@ -112,6 +112,6 @@ def at_most(seconds: float) -> Iterator[None]:
 
 
 def set_exception(thread: int, kind: type[BaseException] | None) -> None:
-    """Has a thread raise an exception at its next Python code; None: takes back one that it has not raised yet."""
+    """Makes a thread raise an exception at its next Python code; None: cancels one that it has not raised yet."""
     given = None if kind is None else ctypes.py_object(kind)
     ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), given)

@@ -26,14 +26,14 @@ class Row:
     solved: int  # answers within the tolerances and collision-free
     missed: int  # answers outside the tolerances or in collision, or no answer
     fewest: int  # answers with the certified minimum of switches
-    proven: int  # answers that the method claims to be optimal, without contradiction
+    proven: int  # claims of optimality without contradiction
     wrong_certificates: int  # contradicted claims
     switches: float | None  # mean over the solved goals
     above: float | None  # mean above the certified optimum, over solved goals that have one
     above_most: int | None  # greatest number above the certified optimum
     seconds_median: float | None  # of the time for a goal
     seconds_99: float | None  # 99 % quantile of this time
-    tables_seconds: float  # `prepare` and the first goal of each arm, which is then solved again; the slowest worker
+    tables_seconds: float  # of `prepare` and the first goal of each arm, in the slowest worker
     errors: dict[str, int]  # number of goals by kind of error
     examples: list[str]  # a sentence for each kind of error, and for the first wrong certificate
     impossible: int  # answers with fewer switches than the proven minimum, so that the set is wrong
@@ -51,7 +51,6 @@ def run(name: str, prepare: Prepare, tasks: Sequence[Task], limit: float, spread
 
 
 def summed(name: str, tasks: Sequence[Task], outcomes: Sequence[Outcome], tables: float) -> Row:
-    """Summarizes a method's outcomes, given in the order of the goals."""
     taken = [(k, task, o) for k, (task, o) in enumerate(zip(tasks, outcomes, strict=True)) if not o.left_out]
     served = [(task, o) for _, task, o in taken if o.solved]
     above = [o.switches - task.switches for task, o in served if task.proven]

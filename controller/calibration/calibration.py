@@ -2,7 +2,7 @@
 
 Cross-validation fits the arm without each fold, starting from the file's numbers, and evaluates the fit on the fold.
 Samples of one configuration are in one fold, because a repeated measurement is no independent test. The result is
-compared with a fit of the base alone. A tracker in another frame changes only the base, so the modules' new numbers are
+compared with a fit of the base alone. A tracker in another frame changes only the base. So the modules' new numbers are
 better only if they predict the folds better than that fit.
 """
 
@@ -47,7 +47,7 @@ class Residuals:
 
 @dataclass(frozen=True)
 class PoseResiduals:
-    """Residuals of positions and, if they were measured, of orientations."""
+    """Residuals of positions and, if measured, of orientations."""
 
     position: Residuals
     orientation: Residuals | None
@@ -55,8 +55,6 @@ class PoseResiduals:
 
 @dataclass(frozen=True, eq=False)
 class ParameterChange:
-    """The change of one parameter."""
-
     parameter: Parameter
     before: Any  # value, or quaternion, in the file
     after: Any  # new value or quaternion
@@ -83,8 +81,6 @@ class Calibration:
 
 
 class FitPair(NamedTuple):
-    """The fit of all parameters, and that of the base only."""
-
     every: Fit
     base: Fit
 
@@ -101,7 +97,7 @@ class FitJob(NamedTuple):
     chosen: Sequence[Parameter]
 
     def prepare(self) -> Run:
-        """Returns what fits the arm to the samples of a mask."""
+        """Returns a function that fits the arm to the samples of a mask."""
         return self._run
 
     def _run(self, mask: NDArray[np.bool_]) -> Iterator[FitPair]:
@@ -116,7 +112,7 @@ class FitJob(NamedTuple):
 def calibrated(arm: Arm, samples: Samples, *, each: bool, spread: Spread = alone) -> Calibration:
     """Returns the calibration of an arm, with fits computed by `spread`.
 
-    If `each`, each module, and each leg of a truss, is fitted by itself.
+    If `each`, each module, and each leg of a truss, has its own parameters.
 
     Raises:
         CannotFit: there are too few samples or too many parameters, or most samples are far from the arm.
@@ -194,11 +190,7 @@ def models(arm: Arm, samples: Samples, in_file: Description, chosen: Sequence[Pa
 
 
 def folds(configurations: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Returns the fold of each sample (n,). All samples of one configuration (B,) are in the same fold.
-
-    Raises:
-        CannotFit: there are fewer configurations than folds.
-    """
+    """Returns the fold of each sample (n,), the same for equal configurations (B,). Raises CannotFit if too few."""
     _, group, sizes = np.unique(configurations, axis=0, return_inverse=True, return_counts=True)
     if len(sizes) < FOLDS:
         raise CannotFit(f"{len(sizes)} different configurations, at least {FOLDS} are needed")
@@ -223,7 +215,7 @@ def held_out(
 ) -> tuple[Compared, Compared]:
     """Returns the models fitted without each fold, with fold and changes; for all parameters and for the base only.
 
-    A sample of the fold is an outlier, and dropped for both, only if both fits consider it one.
+    A sample of the fold is an outlier for both models only if both fits find it to be one.
     """
     length, every, base_only = arm.manipulator.length, Compared(), Compared()
     for k, (found, base_found) in enumerate(fits):
@@ -254,7 +246,6 @@ def pose_residuals(compared: Compared) -> PoseResiduals:
 
 
 def summed_up(values: Array) -> Residuals:
-    """Returns the statistics of distances or angles (n,)."""
     return Residuals(float(np.sqrt((values**2).mean())), float(np.percentile(values, 95)), float(values.max()))
 
 

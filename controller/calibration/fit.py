@@ -1,8 +1,8 @@
 """Least squares over the numbers of an arm's file, without outliers.
 
 Each residual is divided by the standard deviation of its noise, which is estimated from the residuals. Each change of a
-parameter is divided by its prior standard deviation. So parameters that the samples do not determine stay near the
-file's values, such as opposite rotations of a joint and its link.
+parameter is divided by its prior standard deviation. The samples leave some parameters open, such as opposite rotations
+of a joint and its link. These stay near the file's values.
 """
 
 from dataclasses import dataclass
@@ -23,13 +23,11 @@ MAD_SCALE = 1.4826  # standard deviation of normal noise over the median of its 
 
 
 class CannotFit(ValueError):
-    """The samples are too few, or no arm like the file's fits them."""
+    """The samples are too few, or no arm similar to the file's fits them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The result of a fit."""
-
     steps: Array  # changes of the parameters, shape (P,)
     deviations: Array  # standard deviations of the fitted parameters, shape (P,)
     determined: Array  # share of the information on each parameter that is from the samples, 0 to 1, shape (P,)
@@ -68,11 +66,7 @@ class LeastSquares:
         return np.asarray(np.maximum(np.array(found) / np.sqrt(share), self._finest))
 
     def solve(self, x: Array, noise: Array, kept: NDArray[np.bool_], *, robust: bool) -> Array:
-        """Returns the parameters (P,) that fit the samples of a mask (n,) best.
-
-        Raises:
-            CannotFit: the least squares fail.
-        """
+        """Returns the parameters (P,) that best fit the samples of a mask (n,). Raises CannotFit if this fails."""
         from scipy.optimize import least_squares  # takes half a second to import
 
         weights = 1 / noise[self.kinds]
@@ -96,7 +90,7 @@ class LeastSquares:
         return np.asarray(found.x)
 
     def information(self, x: Array, noise: Array, kept: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Returns the information (P,) of the samples along directions (P, P), where the file has 1, and these."""
+        """Returns the samples' information (P,) along directions (P, P), where the file has 1; and the directions."""
         weighted = (self.jacobian(x)[kept] / noise[self.kinds][:, None]).reshape(-1, len(x))
         values, directions = np.linalg.eigh(weighted.T @ weighted)
         return np.maximum(values, 0.0), directions
@@ -111,11 +105,7 @@ class LeastSquares:
 
 
 def fit(model: Model, samples: Samples, length: float) -> Fit:
-    """Returns the parameters that fit the samples of an arm of some length best, without outliers.
-
-    Raises:
-        CannotFit: there are too few samples, or the least squares fail.
-    """
+    """Returns the parameters that best fit the samples of an arm of some length, without outliers. Raises CannotFit."""
     problem = LeastSquares(model, samples, length)
     x = np.zeros(len(model.parameters))
     check_enough(problem, x)
@@ -156,11 +146,7 @@ def plausible(model: Model, samples: Samples, length: float, found: Fit) -> NDAr
 
 
 def check_enough(problem: LeastSquares, x: Array) -> None:
-    """Checks that there are at least two measured values for each parameter that they depend on.
-
-    Raises:
-        CannotFit: there are fewer.
-    """
+    """Raises CannotFit unless there are two measured values for each parameter that they depend on."""
     jacobian = problem.jacobian(x)
     determined = int((np.abs(jacobian) > 1e-9 * np.abs(jacobian).max()).any(axis=(0, 1)).sum())
     samples, columns = jacobian.shape[:2]

@@ -31,12 +31,11 @@ NUDGE = 1e-6  # step of finite differences, as a share of a parameter's prior
 class Model:
     """An arm's description with P parameters that may change.
 
-    Part 0 is the base, part g + 1 is entry g of `modules`. A part has one kind of module, or two kinds that alternate,
-    each with frames (K, 4, 4).
+    Part 0 is the base, part g + 1 is entry g of `modules`, part -1 the tip if there is one. A part has one kind of
+    module, or two kinds that alternate, each with frames (K, 4, 4).
 
     Attributes:
         description: description of the arm, as in the file or with another base.
-        parameters: the P parameters.
     """
 
     def __init__(self, description: Description, parameters: Sequence[Parameter]) -> None:
@@ -48,36 +47,29 @@ class Model:
         self._places = [(0, 0)]
         for g, entry in enumerate(description["modules"], 1):
             self._places += [(g, k % len(self._first[g])) for k in range(entry["count"])]
+        self._places += [(-1, 0)] * ("tip" in description)
 
     def changed(self, steps: Array) -> Description:
-        """Returns the description with its parameters changed by steps (P,)."""
         return changed(self.description, self.parameters, steps)
 
     def tips(self, samples: Samples, steps: Array) -> Frame:
         """Returns the tips (n, 4, 4) of the samples' configurations.
 
-        Raises:
-            ValueError: there is no such arm: a truss does not close, or a platform has no assembly.
+        Raises ValueError if there is no such arm: a truss does not close, or a platform has no assembly.
         """
         return self._chain(samples, self._frames(self.changed(steps)))[-1]
 
     def residuals(self, samples: Samples, steps: Array) -> Array:
         """Returns the residuals (n, C), computed minus measured: coordinates, then rotations if they were measured.
 
-        A rotation residual is the sine of the angle between both, times the axis; a planar arm has only its z.
-
-        Raises:
-            ValueError: there is no such arm.
+        A rotation residual is the sine of the angle between both, times the axis; a planar arm has only its z. Raises
+        ValueError like `tips`.
         """
         tips = self.tips(samples, steps)
         return self._compared(samples, tips - samples.tips, tips)
 
     def jacobian(self, samples: Samples, steps: Array) -> Array:
-        """Returns the derivatives (n, C, P) of the residuals by the parameters.
-
-        Raises:
-            ValueError: there is no such arm.
-        """
+        """Returns the derivatives (n, C, P) of the residuals by the parameters. Raises ValueError like `tips`."""
         description = self.changed(steps)
         stacks = self._frames(description)
         chain, chosen = self._chain(samples, stacks), self._chosen(samples)
@@ -107,8 +99,8 @@ class Model:
         return np.hstack([coordinates, turns[:, 2:] if planar else turns])
 
     def _chosen(self, samples: Samples) -> NDArray[np.int64]:
-        """Returns the states (n, B + 1) of the base, always 0, and of the modules."""
-        return np.pad(samples.configurations, ((0, 0), (1, 0)))
+        """Returns the states (n, C) of the base, always 0, of the modules, and of the tip, always 0."""
+        return np.pad(samples.configurations, ((0, 0), (1, int("tip" in self.description))))
 
     def _chain(self, samples: Samples, stacks: list[list[Frame]]) -> list[Frame]:
         """Returns the frames (n, 4, 4) below each place of the chain, and the tips."""
@@ -142,15 +134,13 @@ def slopes(frames_at: Callable[[float], list[Frame]], step: float) -> list[Array
 
 
 def parts(description: Description) -> list[Description]:
-    """Returns the base and the entries of `modules`."""
-    return [description["base"], *description["modules"]]
+    return [description["base"], *description["modules"], *([description["tip"]] if "tip" in description else [])]
 
 
 def frames_of(part: Description, near: list[Frame] | None = None) -> list[Frame]:
-    """Returns the frames (K, 4, 4) of each kind of module in a part; `near` are the frames of a similar part.
+    """Returns the frames (K, 4, 4) of each kind of module in a part; `near`: those of a similar part.
 
-    Raises:
-        ValueError: there is no such module.
+    Raises ValueError if there is no such module.
     """
     if "type" not in part:
         return [frame_of(part)[None]]

@@ -1,7 +1,7 @@
 """The numbers of an arm's file that calibration changes, with prior standard deviations.
 
-They are the numbers of the modules' geometry and of the base frame. Modules of one entry share their parameters. The
-axes of joints do not change; the link behind a joint may turn instead.
+They are the numbers of the modules' geometry, of the base frame, and of the tip frame if the file has one. Modules of
+one entry share their parameters. The axes of joints do not change; the link behind a joint may turn instead.
 """
 
 import copy
@@ -21,7 +21,9 @@ from hyperbit.controller.manipulator.frames import Frame
 from hyperbit.controller.manipulator.vgt import ACTUATORS
 
 Key = str | int
-Description = dict[str, Any]  # the `base` and `modules` of a file, all frames planar or all spatial, as plain values
+Description = dict[
+    str, Any
+]  # the `base`, `modules` and `tip`, if there is one, of a file, all frames planar or all spatial, as plain values
 
 # Prior standard deviations: of lengths relative to the mean length of a module, and of angles [rad].
 LENGTHS, ANGLES = 0.05, 0.05
@@ -37,12 +39,11 @@ class Parameter:
 
     @property
     def part(self) -> int:
-        """0 for the base, then the entries of `modules`."""
-        return 1 + int(self.where[1]) if self.where[0] == "modules" else 0
+        """0 for the base, then the entries of `modules`; -1 for the tip."""
+        return 1 + int(self.where[1]) if self.where[0] == "modules" else -1 if self.where[0] == "tip" else 0
 
     @property
     def path(self) -> str:
-        """The path of the field."""
         path = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in self.where)[1:]
         return path if self.axis is None else f"{path} about {'xyz'[self.axis]}"
 
@@ -57,16 +58,20 @@ def described(arm: Arm, *, each: bool) -> Description:
         entry = msgspec.json.decode(msgspec.json.encode(group))
         if entry["type"] == "transforms":
             entry = {"type": "transforms", "count": group.count}
-            entry["states"] = [written(frame, planar=planar) for frame in modules[place].frames]
+            stack = modules[place].frames
+            if arm.tip is not None and place == len(modules) - 1:
+                stack = stack @ frames.inverse(arm.tip)
+            entry["states"] = [written(frame, planar=planar) for frame in stack]
         if "link" in entry:
             entry["link"] = written(frame_of(entry["link"]), planar=planar)
         place += group.count
         entries += [single(entry, k) for k in range(group.count)] if each else [entry]
-    return {"base": written(arm.manipulator.base, planar=planar), "modules": entries}
+    tip = {} if arm.tip is None else {"tip": written(arm.tip, planar=planar)}
+    return {"base": written(arm.manipulator.base, planar=planar), "modules": entries, **tip}
 
 
 def single(entry: Description, k: int) -> Description:
-    """Returns an entry for module k, from 0, of an entry."""
+    """Returns a copy of an entry for its module k, from 0."""
     own = {**copy.deepcopy(entry), "count": 1}
     if own["type"] == "vgt":
         own["first_diagonal"] = ("BC", "AD")[(k + (own["first_diagonal"] == "AD")) % 2]
@@ -92,15 +97,18 @@ def frame_of(settings: Description) -> Frame:
 def parameters(description: Description, length: float, modules: int) -> tuple[Parameter, ...]:
     """Returns all parameters of an arm, from its length and number of modules.
 
-    The base has a wide prior, so that it takes changes that modules could take, too.
+    The base has a wide prior, so that changes that modules could explain as well go to the base.
     """
     found = list(of_frame(("base",), description["base"], length, np.pi))
+    if "tip" in description:
+        found += of_frame(("tip",), description["tip"], LENGTHS * length / modules, ANGLES)
     for g, entry in enumerate(description["modules"]):
         where, size = ("modules", g), LENGTHS * length / modules
-        for name in ("width", "lengths", "base", "top"):
-            if name in entry:
-                found += [Parameter(leaf, size) for leaf in leaves((*where, name), entry[name])]
-        found += [Parameter(leaf, ANGLES) for leaf in leaves((*where, "angles"), entry.get("angles", []))]
+        for name in ("width", "lengths", "base", "top", "angles", "cylinders"):
+            turns = entry["type"] == "revolute" and name != "width"
+            found += [
+                Parameter(leaf, ANGLES if turns else size) for leaf in leaves((*where, name), entry.get(name) or [])
+            ]
         if "link" in entry:
             found += of_frame((*where, "link"), entry["link"], size, ANGLES)
         for k, state in enumerate(entry.get("states", [])):
@@ -125,7 +133,6 @@ def leaves(where: tuple[Key, ...], value: Any) -> Iterator[tuple[Key, ...]]:
 
 
 def value_at(description: Description, where: Sequence[Key]) -> Any:
-    """Returns the value at a place."""
     return reduce(getitem, where, description)  # type: ignore[arg-type]
 
 

@@ -33,11 +33,7 @@ def scaled(stack: Frame, factor: float) -> Frame:
 
 
 def tracked(entry: Description, near: Frame) -> Frame:
-    """Returns the poses (K, 4, 4) of a platform by Newton's method from the poses of a similar platform.
-
-    Raises:
-        ValueError: a state has no pose.
-    """
+    """Returns poses (K, 4, 4) by Newton's method from similar poses. Raises ValueError if a state has none."""
     size = sum(entry["lengths"]) / 2
     legs, lengths = legs_and_lengths(entry, size)
     found = [legs.solve_pose(frame, own, MANY) for frame, own in zip(scaled(near, 1 / size), lengths, strict=True)]

@@ -39,18 +39,15 @@ def read_samples(path: Path, manipulator: Manipulator) -> Samples:
 
     The first line names the columns, in any order. The state is `configuration`, as `hyperbit fk` takes it, or
     `actuators`, a 0 or 1 for each actuator in the arm's order. The tip is x, y with an optional th [rad] for a planar
-    arm. For a spatial arm it is x, y, z with an optional quaternion qx, qy, qz, qw.
-
-    Raises:
-        InputFaults: the file cannot be read, or lines have faults.
+    arm. For a spatial arm it is x, y, z with an optional quaternion qx, qy, qz, qw. Raises InputFaults with all faults.
     """
     faults: list[str] = []
     found: list[tuple[Configuration, Frame, int]] = []
     file = read_csv(path, MOST_SAMPLES)
     state, tip = checked_columns(path, file.columns, planar=manipulator.planar)
     for row in file.rows:
-        fields = dict(zip(file.columns, row.fields, strict=False))
-        sample = read_sample(fields, len(row.fields), state, tip, manipulator, f"line {row.line}")
+        fields = dict(zip(file.columns, row.fields, strict=True))
+        sample = read_sample(fields, state, manipulator, f"line {row.line}")
         if isinstance(sample, str):
             faults.append(sample)
         else:
@@ -64,11 +61,7 @@ def read_samples(path: Path, manipulator: Manipulator) -> Samples:
 
 
 def checked_columns(path: Path, columns: Sequence[str], *, planar: bool) -> tuple[str, list[str]]:
-    """Returns the column of the arm's state and the columns of the tip, in the file's order.
-
-    Raises:
-        InputFaults: columns are missing or unknown.
-    """
+    """Returns the column of the arm's state and those of the tip, in the file's order. Raises InputFaults."""
     states, tip = [c for c in columns if c in STATES], [c for c in columns if c not in STATES]
     known = (PLANAR[:2], PLANAR) if planar else (SPATIAL[:3], SPATIAL)
     if len(states) != 1 or sorted(tip) not in [sorted(names) for names in known]:
@@ -79,11 +72,9 @@ def checked_columns(path: Path, columns: Sequence[str], *, planar: bool) -> tupl
 
 
 def read_sample(
-    row: dict[str, str], count: int, state: str, tip: Sequence[str], manipulator: Manipulator, where: str
+    row: dict[str, str], state: str, manipulator: Manipulator, where: str
 ) -> tuple[Configuration, Frame] | str:
-    """Returns the configuration (B,) and the tip (4, 4) of a row with `count` fields, or a fault."""
-    if count != 1 + len(tip):
-        return f"{where}: {1 + len(tip)} fields are needed, got {count}; a configuration with commas stands in quotes"
+    """Returns the configuration (B,) and the tip (4, 4) of a row, or a fault."""
     try:
         if state == "configuration":
             configuration = parse_configuration(manipulator, row[state])
@@ -99,11 +90,7 @@ def read_sample(
 
 
 def actuator_states(text: str) -> NDArray[np.int8]:
-    """Returns the states (A,) of a text of 0 and 1.
-
-    Raises:
-        ValueError: the text has other characters.
-    """
+    """Returns the states (A,) of a text of 0 and 1. Raises ValueError if the text has other characters."""
     if set(text.strip()) - {"0", "1"}:
         raise ValueError(f"a 0 or 1 for each actuator is needed, got {text!r}")
     return np.array([int(digit) for digit in text.strip()], dtype=np.int8)

@@ -11,13 +11,15 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from msgspec import Meta, Struct
 
-from hyperbit.controller.armfile.strict import UNIT, InputFaults, check, read_yaml
+from hyperbit.controller.armfile.choices import LARGEST, LARGEST_ANGLE, number
+from hyperbit.controller.armfile.documents import read_yaml
+from hyperbit.controller.armfile.strict import UNIT, InputFaults, check
 from hyperbit.controller.refusals.reasons import advice
 
 if TYPE_CHECKING:
@@ -66,6 +68,17 @@ def print_json(value: object) -> None:
     sys.stdout.flush()
 
 
+def check_output(path: Path) -> None:
+    """Refuses a file of results that cannot be written, before the work begins."""
+    there = path.exists()
+    try:
+        path.open("ab").close()
+    except OSError as error:
+        raise InputFaults(path, [f"cannot be written: {error.strerror}"]) from None
+    if not there:
+        path.unlink()
+
+
 def shipped(name: str) -> Path:
     """Returns the path of a file in deploy/."""
     return Path(__file__).parents[2] / "deploy" / name
@@ -106,31 +119,35 @@ def load_wired(path: Path) -> Arm:
 def arm_name(arm: str) -> str:
     """Returns the name of an arm, given by its file or name. It reads only the name: an arm imports the kernels."""
     path = Path(arm)
+    faults = list[str]()
     if not path.is_file() and not arm.endswith((".yaml", ".yml")):
+        if check({"name": arm}, Named, faults) is None:
+            raise InputFaults(Path(repr(arm)), ["no name of an arm: 1 to 64 letters, digits, _ and - are needed"])
         return arm
-    raw, faults = read_yaml(path), list[str]()
+    raw = read_yaml(path)
     value = {"name": raw["name"]} if isinstance(raw, dict) and "name" in raw else {}
     if (named := check(value, Named, faults)) is None:
         raise InputFaults(path, faults)
     return named.name
 
 
-def parse_goal(text: str, dimension: int, where: str) -> tuple[list[float], float | list[float] | None]:
-    """Parses a goal, "X,Y[,TH]" or "X,Y,Z[,QX,QY,QZ,QW]", of an option or line that messages name.
+def parse_goal(fields: Sequence[str], dimension: int, where: str) -> tuple[list[float], float | list[float] | None]:
+    """Parses the fields of a goal, X,Y[,TH] or X,Y,Z[,QX,QY,QZ,QW], of an option or line that messages name.
 
     Returns:
         Position, shape (dimension,), and orientation: an angle [rad], a unit quaternion x, y, z, w, or None.
     """
-    try:
-        goal = [float(part) for part in text.split(",")]
-    except ValueError:
-        goal = []
-    if len(goal) not in (dimension, 3 if dimension == 2 else 7) or not all(map(math.isfinite, goal)):
+    if len(fields) not in (dimension, 3 if dimension == 2 else 7):
         form = "X,Y or X,Y,TH is needed, 2 or 3" if dimension == 2 else "X,Y,Z or X,Y,Z,QX,QY,QZ,QW is needed, 3 or 7"
-        raise InputFaults(Path(where), [f"{text!r} is no goal; {form} numbers"])
+        raise InputFaults(Path(where), [f"{','.join(fields)!r} is no goal; {form} numbers"])
+    most = [LARGEST] * dimension + [LARGEST_ANGLE] * (len(fields) - dimension)
+    try:
+        goal = list(map(number, fields, most))
+    except ValueError as error:
+        raise InputFaults(Path(where), [str(error)]) from None
     position, turned = goal[:dimension], goal[dimension:]
     if len(turned) == 4 and abs((length := math.hypot(*turned)) - 1.0) > UNIT:
-        words = f"{text!r}: a quaternion of length 1 is needed, got one of length {length:.4g}"
+        words = f"{','.join(fields)!r}: a quaternion of length 1 is needed, got one of length {length:.4g}"
         raise InputFaults(Path(where), [words])
     return position, None if not turned else turned[0] if dimension == 2 else turned
 
@@ -143,6 +160,17 @@ def configuration(arm: Arm, text: str, where: str) -> Configuration:
         return parse_configuration(arm.manipulator, text)
     except ValueError as error:
         raise InputFaults(Path(where), [str(error)]) from None
+
+
+def drawn(text: str, plain: str) -> str:
+    """Returns a text if the terminal can show it, otherwise a plain one."""
+    from hyperbit.controller.commands.common import console
+
+    try:
+        text.encode(console.encoding)
+    except UnicodeEncodeError:
+        return plain
+    return text
 
 
 def counted(switches: int) -> str:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import msgspec
 import typer
 
-from hyperbit.controller.armfile.strict import InputFaults, read_yaml
+from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands.common import CommandFailed, arm_name, print_json, refusal
+from hyperbit.controller.network.endpoints import START
 
 if TYPE_CHECKING:
     import zenoh
@@ -20,11 +21,6 @@ if TYPE_CHECKING:
 
 # Zenoh logs to the standard output. A sample that is on its way while a subscriber is undeclared is an error to it.
 LOG = "error,zenoh::api::session=off"
-START = "start it by: hyperbit run ARM.yaml (--simulate without hardware), or name its endpoint by --connect"
-
-
-class NoSession(Exception):
-    """There is no Zenoh session; the message is Zenoh's reason."""
 
 
 def zenoh_config(
@@ -36,28 +32,27 @@ def zenoh_config(
     try:
         return session.from_file(file) if file else session.configuration(mode, listen=listen, connect=connect)
     except ValueError as error:
-        raise InputFaults(Path("--zenoh"), [str(error)]) from None
-
-
-def open_zenoh(config: zenoh.Config) -> zenoh.Session:
-    """Opens a session. Raises NoSession if nobody is at its endpoint, or the endpoint is taken."""
-    import zenoh
-
-    from hyperbit.controller.network import session
-
-    zenoh.init_log_from_env_or(LOG)
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError as error:
-        raise NoSession(session.reason(error)) from None
+        raise InputFaults(Path("--zenoh" if file else "endpoint"), [str(error)]) from None
 
 
 def open_session(connect: str, zenoh_file: Path | None) -> zenoh.Session:
     """Opens a session with a running daemon, or its router, as a client."""
+    return open_zenoh(zenoh_config(zenoh_file, connect=connect))
+
+
+def open_zenoh(config: zenoh.Config) -> zenoh.Session:
+    """Opens a session; tells on stderr which of its certificates end soon."""
+    import zenoh
+
+    from hyperbit.controller.network import reach
+
+    zenoh.init_log_from_env_or(LOG)
+    for told in reach.ending_certificates(config):
+        sys.stderr.write(f"Warning: {told}\n")
     try:
-        return open_zenoh(zenoh_config(zenoh_file, connect=connect))
-    except NoSession as error:
-        raise CommandFailed(f"no daemon at {zenoh_file or connect}: {error}", START) from None
+        return reach.open_session(config)
+    except reach.NoSession as error:
+        raise CommandFailed(str(error), error.step) from None
 
 
 @contextlib.contextmanager
@@ -109,15 +104,3 @@ def ask(client: Client, arm: str, key: str, payload: dict[str, Any], as_json: bo
         raise refusal(answer, arm)
     if not as_json:
         typer.echo(answer["message"])
-
-
-def read_payload(path: Path, what: str, field: str) -> dict[str, Any]:
-    """Reads a payload from a YAML or JSON file; messages name its kind and its main field."""
-    value = read_yaml(path)  # JSON is a subset of YAML
-    if not isinstance(value, dict):
-        raise InputFaults(path, [f"no {what}: a mapping with `{field}` is needed"])
-    try:
-        msgspec.json.encode(value)
-    except (TypeError, UnicodeEncodeError) as error:
-        raise InputFaults(path, [f"no {what}: {error}"]) from None
-    return value

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
-from hyperbit.controller.armfile.csv_files import csv_rows, record_of
+from hyperbit.controller.armfile.csv_files import csv_rows
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands.common import parse_goal
 
@@ -39,11 +39,12 @@ def goal_rows(
         needed = f"columns {','.join(columns)} are needed, {','.join(turns)} and {further} are optional"
         raise InputFaults(path, [f"{needed}; got {there}"])
     for row in rows:
-        if not row.fields:
-            continue
-        where, record = f"line {row.line}", record_of(there, row)
+        where, record = f"line {row.line}", dict(zip(there, row.fields, strict=True))
+        fields = [record[name] for name in columns]
+        while fields and not fields[-1].strip():
+            fields.pop()
         try:
-            wanted = parse_goal(",".join(record[name] for name in columns).rstrip(","), dimension, where)
+            wanted = parse_goal(fields, dimension, where)
             more = read(record[further], where) if record.get(further) else None
         except InputFaults as error:
             faults += [f"{where}: {fault}" for fault in error.faults]

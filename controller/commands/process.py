@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from hyperbit.controller.commands.connection import NoSession, open_zenoh, zenoh_config
+from hyperbit.controller.commands.connection import LOG, zenoh_config
 
 if TYPE_CHECKING:
     import zenoh
@@ -56,14 +56,14 @@ class Process:
 
     def retried(self, attempt: Callable[[], T], missing: type[Exception], words: str) -> T | None:
         """Repeats an attempt while it raises `missing`; `words`: what it waits for, for the log. None: the end came."""
-        warned = False
+        told = ""
         while not self.ending.is_set():
             try:
                 return attempt()
             except missing as error:
-                if not warned:
-                    log.warning("%s: %s", words, error)
-                warned = True
+                if str(error) != told:
+                    told = str(error)
+                    log.warning("%s: %s", words, told)
             self.wait()
         return None
 
@@ -71,9 +71,13 @@ class Process:
 @contextlib.contextmanager
 def opened_session(connect: str, zenoh_file: Path | None, process: Process) -> Iterator[zenoh.Session | None]:
     """Opens a session with a daemon as soon as one is there; yields None if the process is to end before."""
+    import zenoh
+
+    from hyperbit.controller.network.reach import NoSession, open_session
+
     config = zenoh_config(zenoh_file, connect=connect)
-    words = f"no daemon at {zenoh_file or connect} yet, waiting for one"
-    session = process.retried(lambda: open_zenoh(config), NoSession, words)
+    zenoh.init_log_from_env_or(LOG)
+    session = process.retried(lambda: open_session(config), NoSession, "waiting for a daemon")
     if session is None:
         yield None
         return

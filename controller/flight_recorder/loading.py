@@ -1,5 +1,3 @@
-"""Loads files of saved events."""
-
 from __future__ import annotations
 
 import struct
@@ -11,51 +9,29 @@ from typing import Any, NamedTuple
 from hyperbit.controller.flight_recorder.pickling import unpickle
 from hyperbit.controller.host.keeper import LARGEST, LENGTH, MAGIC, RefusedFile, about
 
-# Takes the line of JSON of a generation; returns objects by name in place of those that are recorded by name.
+# From the line of JSON of a generation: returns the objects that are recorded by name.
 Given = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 
 class RecordedStep(NamedTuple):
-    """One step of the core.
-
-    Attributes:
-        event: that the core took.
-        now: CLOCK_MONOTONIC [s].
-        wall: UNIX time [s]; None for a core that takes none.
-        actions: that the core returned; None: the step raised an exception.
-    """
+    """One step of the core."""
 
     event: Any
-    now: float
-    wall: float | None
-    actions: list[Any] | None
+    now: float  # CLOCK_MONOTONIC [s]
+    wall: float | None  # UNIX time [s]; None for a core without it
+    actions: list[Any] | None  # None: the step raised an exception
 
 
 class Generation(NamedTuple):
-    """A part of the events.
+    """A part of the events."""
 
-    Attributes:
-        about: line of JSON: arm, kind, digest of the arm's file, version of hyperbit, pid, number, times.
-        core: at the checkpoint, before the first entry; None: no checkpoint could be taken.
-        entries: the steps since then.
-    """
-
-    about: dict[str, Any]
-    core: Any
-    entries: list[RecordedStep]
+    about: dict[str, Any]  # line of JSON: arm, kind, digest of the arm's file, version of hyperbit, pid, number, times
+    core: Any  # at the checkpoint, before the first entry; None: no checkpoint could be taken
+    entries: list[RecordedStep]  # the steps since then
 
 
 def load(path: Path, given: Given = lambda about: {}) -> list[Generation]:
-    """Reads a saved file.
-
-    Args:
-        path: of the file.
-        given: see `Given`.
-
-    Raises:
-        RefusedFile: the file is damaged, no file of events, or contains anything else.
-        OSError: the file cannot be read.
-    """
+    """Reads a saved file. Raises RefusedFile if it is damaged, or contains anything but events; may raise OSError."""
     content = path.read_bytes()
     if not content.startswith(MAGIC):
         raise RefusedFile(

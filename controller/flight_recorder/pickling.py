@@ -1,4 +1,4 @@
-"""Pickles of events: how they are written, and what is accepted when they are read.
+"""Pickles of events: how to write them, and which ones to read.
 
 A pickle could call any function. So only data, and classes without side effects, are accepted.
 """
@@ -24,7 +24,7 @@ PURE = re.compile(
     r"|hyperbit\.drivers\.canopen\.((boards|boot|run|sdo)\.\w+|faults|layout|pdo|status|wiring|wire\.(cia301|events|link))"
 )
 CORE = "hyperbit.controller.planning.core."  # its functions are pure, too
-LEFT_OUT = "left out"  # stands for an opaque value that is not None
+LEFT_OUT = "left out"  # replaces an opaque value that is not None
 OTHERS = {
     ("hyperbit.controller.flight_recorder.pickling", "method_of"),
     ("collections", "Counter"),
@@ -45,7 +45,7 @@ OTHERS = {
 
 
 def reducers(opaque: Mapping[type, str], outside: Mapping[str, object]) -> dict[type, Callable[[Any], Any]]:
-    """Returns the reducers of a Pickler for what pickle does not accept by itself, or would do by `getattr`."""
+    """Returns a Pickler's reducers for objects that pickle refuses, or would look up by `getattr`."""
     names = {id(it): name for name, it in outside.items()}
 
     def without(field: str) -> Callable[[Any], Any]:
@@ -95,15 +95,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def unpickle(content: bytes, given: Mapping[str, Any] = MappingProxyType({})) -> Any:
-    """Returns the content of a pickle of data, without code.
-
-    Args:
-        content: the pickle.
-        given: objects that were recorded by name.
-
-    Raises:
-        RefusedFile: the pickle is damaged, or contains anything else.
-    """
+    """Unpickles data without code; `given`: objects recorded by name. Raises RefusedFile for any other pickle."""
     try:
         return _Unpickler(content, given).load()
     except RefusedFile:
@@ -113,7 +105,7 @@ def unpickle(content: bytes, given: Mapping[str, Any] = MappingProxyType({})) ->
 
 
 def method_of(owner: object, name: str) -> MethodType:
-    """Returns a method of an object of a pure module; the form in which a pickle has bound methods."""
+    """Returns a method of an object of a pure module; pickles of bound methods call this."""
     function = next((vars(kind)[name] for kind in type(owner).__mro__ if name in vars(kind)), None)
     if not isinstance(function, FunctionType) or not PURE.fullmatch(function.__module__):
         raise RefusedFile(f"the file contains a method {name!r} of {type(owner).__name__}: it is not loaded")
@@ -121,5 +113,5 @@ def method_of(owner: object, name: str) -> MethodType:
 
 
 def stands_outside(name: str) -> Any:
-    """Stands in a pickle for an object that is recorded by name; `load` is given the object."""
+    """Replaces, in a pickle, an object that is recorded by name. `load` gets the object itself."""
     raise RefusedFile(f"{name!r} was not given")

@@ -1,7 +1,7 @@
 """The flight recorder: the last events of a pure core, with a state from which they can be replayed.
 
-Nothing here waits: entries are written to a file in memory, and a process of normal priority saves them on a disk.
-See `keeper` for both files, and `tests.simulation.events` for the replay.
+Nothing here waits: entries go to a file in memory, and a process of normal priority saves them on a disk. See `keeper`
+for both files, and `tests.simulation.events` for the replay.
 """
 
 from __future__ import annotations
@@ -24,25 +24,18 @@ from hyperbit.controller.host.keeper import LENGTH, SHARED, ring_paths, start_ke
 
 log = logging.getLogger(__name__)
 
-WANTED = 5_000  # events since the last checkpoint; then a new one is taken as soon as `may_checkpoint` permits
+WANTED = 5_000  # events after a checkpoint; then the next one is taken as soon as `may_checkpoint` permits
 MOST = 20_000  # events of a generation; then the next one begins, even without a checkpoint
 ENDING = 1.0  # [s] for the end of the keeper
 
 
 class Label(NamedTuple):
-    """What is recorded.
+    """The recorded core and its arm."""
 
-    Attributes:
-        kind: "executor" or "planner".
-        arm: its name.
-        digest: SHA-256 of the arm's file.
-        file: text of the arm's file, for a core that refers to objects made from it.
-    """
-
-    kind: str
+    kind: str  # "executor" or "planner"
     arm: str
-    digest: str
-    file: str = ""
+    digest: str  # SHA-256 of the arm's file
+    file: str = ""  # text of the arm's file, for a core that refers to objects made from it
 
 
 class FlightRecorder:
@@ -50,13 +43,9 @@ class FlightRecorder:
 
     As a context, it saves the events if an exception ends the process.
 
-    Attributes:
-        paths: of the two files in memory.
-
     Args:
-        label: what is recorded.
         folder: of saved files; None: nothing is saved by itself.
-        opaque: field of a class that is left out, because the core only asks whether it is None.
+        opaque: field of a class that is omitted, because the core only tests whether it is None.
         outside: constant objects that are recorded by name, such as the manipulator; the only ones of their types.
         batch: number of entries after which they are written; a caller with a larger one calls `flush`.
     """
@@ -73,7 +62,7 @@ class FlightRecorder:
         self._core: Any = None
         self._may_checkpoint: Callable[[int], bool] = bool
         self._table = reducers(opaque, outside)
-        self.paths = ring_paths(label.arm, label.kind, os.getpid())
+        self.paths = ring_paths(label.arm, label.kind, os.getpid())  # of the two files in memory
         self._pending: list[tuple[Any, float, float | None, list[Any] | None]] = []
         self._file: IO[bytes] | None = None
         self._number = self._count = 0
@@ -91,7 +80,7 @@ class FlightRecorder:
         """Begins to record the steps of a core.
 
         Args:
-            core: pure; picklable now, and whenever `may_checkpoint` is true.
+            core: pure; picklable now, and whenever `may_checkpoint` returns True.
             may_checkpoint: takes the number of events since the last checkpoint; returns whether the core may be
                 pickled now, which takes 1 to 2 ms.
         """
@@ -103,14 +92,7 @@ class FlightRecorder:
             self._stop(error)
 
     def __call__(self, event: Any, now: float, wall: float | None, actions: Sequence[Any] | None) -> None:
-        """Records a step.
-
-        Args:
-            event: that the core took.
-            now: [s].
-            wall: UNIX time [s]; None for a core that takes none.
-            actions: that it returned; None: it raised an exception.
-        """
+        """Records a step; `wall`: UNIX time [s], if the core takes it; `actions`: None after an exception."""
         if self._file is None:
             return
         self._pending.append((event, now, wall, None if actions is None else list(actions)))
@@ -118,7 +100,7 @@ class FlightRecorder:
             self.flush()
 
     def flush(self) -> None:
-        """Writes the recorded steps to memory, takes a checkpoint if it is time, and has a fault saved."""
+        """Writes the recorded steps to memory; takes a checkpoint if one is due; has a fault saved."""
         if self._file is None or not self._pending:
             return
         entries, self._pending = self._pending, []
@@ -139,13 +121,12 @@ class FlightRecorder:
             self._stop(error)
 
     def save(self, cause: str) -> None:
-        """Has the events saved, unless that was done a moment ago."""
+        """Makes the keeper save the events, unless it did so a moment ago."""
         if self._keeper is not None and self._keeper.stdin is not None:
             with contextlib.suppress(OSError):  # the keeper has ended, or is slow
                 os.write(self._keeper.stdin.fileno(), cause.encode()[:200] + b"\n")
 
     def close(self) -> None:
-        """Ends the keeper, and removes the files in memory."""
         self.flush()
         self.save("end")
         if self._keeper is not None and self._keeper.stdin is not None:
@@ -201,7 +182,6 @@ class FlightRecorder:
         self._count = self._tried = 0
 
     def _stop(self, error: Exception | None = None) -> None:
-        """Stops recording."""
         if error is not None:
             log.warning("events of the %s are not recorded: %s: %s", self._label.kind, type(error).__name__, error)
         file, self._file = self._file, None
@@ -213,7 +193,7 @@ class FlightRecorder:
 
 
 def _cause(entry: tuple[Any, float, float | None, list[Any] | None]) -> str | None:
-    """Returns why a step is worth a file: an exception, or a logged error; None otherwise."""
+    """Returns why to save events at this step: an exception, or a logged error; otherwise None."""
     actions = entry[3]
     if actions is None:
         return "exception"
@@ -224,7 +204,7 @@ def _cause(entry: tuple[Any, float, float | None, list[Any] | None]) -> str | No
 
 
 def _remove_left(label: Label) -> None:
-    """Removes the files in memory of processes that do not run any more."""
+    """Removes the files in memory of ended processes."""
     for path in SHARED.glob(f"hyperbit-{os.getuid()}-{label.arm}-{label.kind}-*.events"):
         pid = path.name.rsplit("-", 1)[1].split(".")[0]
         if pid.isdecimal():
@@ -233,4 +213,4 @@ def _remove_left(label: Label) -> None:
             except ProcessLookupError:
                 path.unlink(missing_ok=True)
             except OSError:
-                pass  # of another user now
+                pass  # it belongs to another user now

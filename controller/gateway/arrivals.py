@@ -1,7 +1,7 @@
-"""What a request meets before the planner: the brake for floods, and the memory of goals that come twice.
+"""Two stages of a request before the planner: the brake for floods, and the memory of repeated goals.
 
-No lock is needed. Any thread appends to a deque, or adds to a dictionary by `setdefault`; both are atomic. Entries are
-removed by the thread of the planner's core, which gives the answers and the results.
+No lock is needed. Any thread appends to a deque, or adds to a dictionary by `setdefault`; both are atomic. Only the
+thread of the planner's core, which gives answers and results, removes entries.
 """
 
 import hashlib
@@ -31,7 +31,7 @@ class Clocks(NamedTuple):
 
 
 class Rate:
-    """Counts events up to `most` within the last second. Threads that count together may count a few more."""
+    """Counts events up to `most` within the last second. Threads that share it may count a few more."""
 
     def __init__(self, most: int, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._times = clock, deque[float](maxlen=most)
@@ -66,16 +66,16 @@ class FloodBrake:
         self._requests, self._pause = itertools.count(1), pause
 
     def slow_down(self) -> None:
-        """Pauses now and then while too many requests are refused. Call it after each request."""
+        """Pauses occasionally while too many requests are refused. Call it after each request."""
         if self.refused.exceeded() and next(self._requests) % PAUSE_EVERY == 0:
             self._pause(PAUSE)
 
 
 @dataclass(eq=False)
 class ArrivedGoal:
-    keys: list[bytes]  # by which it is recognized
+    keys: list[bytes]  # that identify a repetition
     at: float  # time of its last message [s]
-    replies: deque[Reply] = field(default_factory=deque)  # that wait for the answer
+    replies: deque[Reply] = field(default_factory=deque)  # waiting for the answer
     answer: Payload | None = None
     ended: bool = False  # no result will follow
 
@@ -96,13 +96,13 @@ class ArrivedGoal:
         while self.answer is not None and self.replies:
             try:
                 reply = self.replies.popleft()
-            except IndexError:  # another thread took it
+            except IndexError:  # another thread took the reply
                 return
             reply(self.answer)
 
 
 def keys_of(payload: bytes, attached: bytes, *, has_id: bool) -> list[bytes]:
-    """Returns the keys by which a goal is recognized when it comes again; `attached` is empty if nothing was."""
+    """Returns the keys that identify a repeated goal; `attached` is empty without an attachment."""
     digest = hashlib.blake2b(payload, digest_size=16).digest()
     keys = [b"number" + digest + attached[:64]] if attached else []
     return [*keys, b"payload" + digest] if has_id else keys
@@ -121,12 +121,12 @@ class RepeatedGoals:
         self._known: dict[bytes, ArrivedGoal] = {}
 
     def receive_goal(self, keys: list[bytes], reply: Reply, request: Callable[[Reply], object]) -> None:
-        """Calls `request` for a new goal, with what takes its answer, or repeats the answer to a known one."""
+        """Calls `request` for a new goal, with the receiver of its answer; repeats the answer to a known goal."""
         goal = ArrivedGoal(keys, self._clock())
         goal.await_answer(reply)
         for key in keys:
             known = self._known.setdefault(key, goal)
-            if known is not goal:  # `goal` may be known by its number already; it gets the same answer
+            if known is not goal:  # the goal is already known by another key; it gets the same answer
                 known.at = self._clock()
                 known.await_answer(goal.store_answer)
                 return
@@ -145,7 +145,7 @@ class RepeatedGoals:
                 self._forget_payload(known)
 
     def _answered(self, goal: ArrivedGoal, answer: Payload) -> None:
-        """Gives an answer, and forgets goals that ended long ago, and the oldest ones above MOST."""
+        """Gives an answer; forgets goals that ended long ago, and the oldest ones above MOST."""
         goal.at = self._clock()
         goal.store_answer(answer)
         if goal.ended:

@@ -23,12 +23,12 @@ class AlreadyRunning(Exception):
 class Claimant(msgspec.Struct):  # the owner of a claim, as it answers
     host: str
     pid: int
-    serves: bool = True  # false until it has looked for other claims
+    serves: bool = True  # False until the daemon has looked for other claims
     simulated: bool = False
 
 
 class Claim:
-    """The claim of this process to an arm: the token "hyperbit/<arm>/@claim/<zid>", and who has it as an answer.
+    """The claim of this process to an arm: the token "hyperbit/<arm>/@claim/<zid>"; a query on it returns the claimant.
 
     Zenoh does not notify the owner of a liveliness token when another session declares the same one. So each daemon has
     a token of its own, and looks for the claims of others.
@@ -41,17 +41,15 @@ class Claim:
         self._session, self._arm, self._own = session, arm, str(session.zid())
         self._claimant = Claimant(socket.gethostname(), os.getpid(), serves=False, simulated=simulated)
         key = f"hyperbit/{arm}/@claim/{self._own}"
-        self._queryable = session.declare_queryable(key, self._answer)  # before the token, which others then ask
+        self._queryable = session.declare_queryable(key, self._answer)  # before the token: others then query it
         self._token = session.liveliness().declare_token(key)
         self._declared_at = time.monotonic()
 
     def confirm(self, timeout: float = CLAIM_TIMEOUT) -> None:
         """Returns when this process may serve the arm, GRACE after its claim at the earliest.
 
-        A daemon that does not answer may keep its token for `timeout` [s].
-
-        Raises:
-            AlreadyRunning: another daemon serves the arm, or will.
+        A daemon that does not answer may keep its token for `timeout` [s]. Raises AlreadyRunning if another daemon
+        serves the arm, or will.
         """
         time.sleep(max(self._declared_at + GRACE - time.monotonic(), 0.0))
         until = time.monotonic() + timeout

@@ -1,11 +1,12 @@
 """The planner's process: builds its parts from the Zenoh session to the server, and closes them in order.
 
-Its own warnings are of the system's clock, the Zenoh network and the ledger; none of them stops the arm.
+Its own warnings concern the system's clock, the Zenoh network and the ledger; none of them stops the arm.
 """
 
 import contextlib
 import gc
 import logging
+import math
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -27,6 +28,7 @@ from hyperbit.controller.gateway.server import GatewayParts, Server
 from hyperbit.controller.host.journal import fields_of_fault
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.manipulator.notation import format_configuration
+from hyperbit.controller.network.reach import ending_certificates, open_session
 from hyperbit.controller.network.session import lease, reachable
 from hyperbit.controller.planning.core.core import OPAQUE
 from hyperbit.controller.planning.core.events import Recorded
@@ -44,8 +46,9 @@ log = logging.getLogger(__name__)
 # Zenoh's default of two, all would soon be blocked, and a `stop` from another client would wait.
 RECEIVERS = "(rx: (worker_threads: 16))"
 
-RECORDS = 500  # steps of the core that are recorded in one piece at most; the loop writes them when it is calm
+RECORDS = 500  # most steps of the core in one recorded block; the loop writes a block when it is calm
 CLOCK_STEP = 0.5  # [s]; a greater jump of the clock was set, not slewed
+CERTIFICATES_EVERY = 3600.0  # [s]
 REMEMBERED = 10.0  # [s] for which a warning stays after its cause
 
 
@@ -70,14 +73,14 @@ def running(
     executor closes last.
 
     Raises:
-        zenoh.ZError: the session cannot be opened.
+        NoSession: the session cannot be opened.
         AlreadyRunning: another daemon of this arm is in the network.
-        LedgerInUse: another process writes the ledger.
+        FileInUse: another process writes the ledger.
     """
     name, daemon, inbox = arm.settings.name, Daemon(), Inbox()
     with ExitStack() as closing:
         os.environ.setdefault("ZENOH_RUNTIME", RECEIVERS)
-        session = closing.enter_context(zenoh.open(config))
+        session = closing.enter_context(open_session(config))
         claim = Claim(session, name, simulated=simulated)
         closing.callback(claim.close)
         book = Ledger(ledger, arm.manipulator.actuators, lambda entry: inbox.post(Recorded(entry)), daemon.fail)
@@ -88,9 +91,9 @@ def running(
         outbox = Outbox(session, f"hyperbit/{name}", *hooks, lease(config))
         outbox.start()
         closing.callback(outbox.close)
-        warnings = Warnings(reachable(session, config), book.faults)
+        warnings = Warnings(reachable(session, config), book.faults, certificates=partial(ending_certificates, config))
         services = Services(inbox, book, published, outbox, notifier, warnings.active, daemon.fail)
-        label = Label("planner", name, digest, arm.path.read_text() if arm.path is not None else "")
+        label = Label("planner", name, digest, arm.path.read_text(encoding="utf-8") if arm.path is not None else "")
         constant = {"manipulator": arm.manipulator}
         recorder = closing.enter_context(FlightRecorder(label, ledger.absolute().parent, OPAQUE, constant, RECORDS))
         link = ExecutorLink(socket, name, digest, simulated=simulated)
@@ -100,7 +103,7 @@ def running(
         poses = Poses(ledger.with_name(f"{ledger.stem}.poses.json"), first)
         server = Server(session, name, GatewayParts(planner, outbox, goals, poses, partial(find, ledger)))
         closing.callback(server.close)
-        planner.loop.start()  # not before the keys are declared: who receives a state may send a request
+        planner.loop.start()  # after the keys are declared: a receiver of a state may send a request
         gc.collect()
         gc.freeze()  # the collector need not scan long-lived objects while a goal waits
         closing.callback(gc.unfreeze)
@@ -116,7 +119,8 @@ class Warnings:
     """Detects the causes of warnings. Belongs to one thread.
 
     `reachable` returns whether the session is connected to an endpoint of its configuration, `others` the active
-    warnings of other parts, such as the ledger. `wall` is the system's clock, `clock` is never set.
+    warnings of other parts, such as the ledger, `certificates` which certificates end soon.
+    `wall` is the system's clock, `clock` is never set.
     """
 
     def __init__(
@@ -125,11 +129,14 @@ class Warnings:
         others: Callable[[], tuple[Fault, ...]] = tuple,
         wall: Callable[[], float] = time.time,
         clock: Callable[[], float] = time.monotonic,
+        certificates: Callable[[], list[str]] = list,
     ) -> None:
         self._reachable, self._others, self._wall, self._clock = reachable, others, wall, clock
+        self._certificates, self._certificates_at = certificates, -math.inf
+        self._ending = list[str]()
         self._offset = wall() - clock()
         self._lost_at = 0.0
-        self._own: dict[str, tuple[Fault, float]] = {}  # by code; and when each ends [s]
+        self._own: dict[str, tuple[Fault, float]] = {}  # by code; each with its end [s]
 
     def active(self) -> tuple[Fault, ...]:
         now = self._clock()
@@ -145,6 +152,10 @@ class Warnings:
                 self._lost_at = now
             message = f"no peer was connected over Zenoh for {now - self._lost_at:.1f} s: the arm continued by itself"
             self._warn(Fault("network-lost", "zenoh", message), now)
+        if now >= self._certificates_at + CERTIFICATES_EVERY:
+            self._certificates_at, self._ending = now, self._certificates()
+        if self._ending:
+            self._warn(Fault("certificate-ends", "zenoh", "; ".join(self._ending)), now)
         return (*(fault for _, (fault, _) in sorted(self._own.items())), *self._others())
 
     def _warn(self, fault: Fault, now: float) -> None:

@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 MOST_WAITING = 1_000  # messages in each lane
 POLL = 0.2  # [s] between two readings of the clock
-SENT_WITHIN = 0.05  # [s] after which a put has left the process; Zenoh tells nobody, nearly all have after 3 ms
+SENT_WITHIN = 0.05  # [s], assumed time until a put has left the process; nearly all leave within 3 ms
 RECONNECTED = 5.0  # [s] after a standstill, or after the start; clients reconnect at least every 4 s
 COMMANDS = ("goal", "jog", "cancel", "stop", "reset", "degrade", "obstacles", "fault")
 PUBLISHED = {"result": zenoh.CongestionControl.BLOCK} | dict.fromkeys(
@@ -31,7 +31,7 @@ PUBLISHED = {"result": zenoh.CongestionControl.BLOCK} | dict.fromkeys(
 LATEST = ("state", "diagnostics")  # only the latest waits
 JSON = zenoh.Encoding.APPLICATION_JSON
 
-# What is sent: by a query's reply, or published; then its key and payload.
+# A message: a query's reply, or None to publish; then its key and payload.
 Item = tuple[zenoh.Query | PublishResult | None, str, Payload]
 
 
@@ -69,7 +69,7 @@ class Outbox:
         # Any thread appends, only the thread of the outbox takes. Both are atomic.
         self._first, self._second, self._inherited = deque[Item](), deque[Item](), deque[Item]()
         self._latest = dict[str, Payload]()
-        self._put_results = deque[tuple[float, int]]()  # when each has left the process [s], and its number
+        self._put_results = deque[tuple[float, int]]()  # departure [s] and number of each result
         self._wake: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._full = self._closing = False
         self._poses = 0  # number of changes
@@ -79,7 +79,7 @@ class Outbox:
         }
         self._thread = threading.Thread(target=self._run, name="outbox", daemon=True)
 
-    def start(self) -> None:  # without it the caller sends what is queued, by `step`
+    def start(self) -> None:  # without the thread, the caller sends queued messages by `step`
         self._thread.start()
 
     def publish(self, key: Literal["state", "diagnostics", "feedback", "result", "@request"], payload: Payload) -> None:
@@ -90,7 +90,7 @@ class Outbox:
         else:
             self._put(self._first if key == "feedback" else self._second, (None, key, payload))
 
-    def count_poses_change(self) -> None:  # the next `state` has another number, at which clients read the poses
+    def count_poses_change(self) -> None:  # a new number in `state` makes clients read the poses
         self._poses += 1
 
     def publish_result(self, result: PublishResult) -> None:
@@ -132,7 +132,7 @@ class Outbox:
             self._wake_up()
 
     def _wake_up(self) -> None:
-        """Makes the thread look at the lanes; one waiting call is enough, because it looks afterwards."""
+        """Makes the thread look at the lanes. One waiting call is enough: the thread looks afterwards."""
         if self._wake.empty():
             self._wake.put(None)
 
@@ -154,7 +154,7 @@ class Outbox:
         item = self._next()
         if item is not None:
             self._send(*item)
-            self._last_reading = self._clock()  # waiting for a slow peer is no standstill
+            self._last_reading = self._clock()  # a wait for a slow peer is no standstill
             return 0.0
         if self._closing:
             self._post_published(np.inf)
@@ -178,7 +178,7 @@ class Outbox:
             self._post(Published(self._put_results.popleft()[1]))
 
     def _stood_still(self) -> bool:
-        """Returns whether clients may not have reconnected yet after a standstill."""
+        """Returns whether clients may still be reconnecting after a standstill."""
         now = self._clock()
         if now - self._last_reading > self._lease / 2:  # keep-alives are sent four times in a lease
             self._wait_until = now + RECONNECTED
@@ -207,7 +207,7 @@ class Outbox:
 
 
 def encoded(payload: Payload) -> bytes:
-    """Returns a payload as JSON, numbers that are not finite as null; of a payload without JSON form id and status."""
+    """Returns a payload as JSON; non-finite numbers become null. Of an unencodable payload: id and status."""
     try:
         return msgspec.json.encode(payload, enc_hook=plain)
     except Exception:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import threading
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,6 +10,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta, Struct
 
+from hyperbit.controller.host.keeper import write_whole
 from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.planning.core.events import Payload, done
 from hyperbit.controller.refusals.reasons import Reason
@@ -77,29 +77,20 @@ class Poses:
         return done(words)
 
     def _write(self, saved: dict[str, SavedGoal]) -> None:
-        """Replaces the file, or raises Refusal; a crash leaves the old one or the new one."""
+        """Replaces the file, or raises Refusal; a crash leaves the old file or the new one."""
         if self._problem is not None:
             raise Refusal(Reason.POSES_UNWRITTEN, why=self._problem)
         content = msgspec.json.format(msgspec.json.encode(saved), indent=1)
         if len(content) > MOST_STORED:
             raise Refusal(Reason.TOO_LARGE, what="the saved poses", size=len(content), most=MOST_STORED)
-        fresh = self._path.with_suffix(".new")
         try:
-            with fresh.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            fresh.replace(self._path)
+            write_whole(self._path, content)
         except OSError as error:
             raise Refusal(Reason.POSES_UNWRITTEN, why=f"{self._path}: {error.strerror}") from None
 
 
 def decode_poses(payload: bytes) -> PosesMessage:
-    """Returns the message in a `poses` payload; the goal's own fields are not checked.
-
-    Raises:
-        Refusal: the payload is invalid; the message names the field. No other exception is raised.
-    """
+    """Parses a `poses` payload, but not the goal's own fields. Raises only Refusal, which names the field."""
     message = parse(payload, PosesMessage, "poses", MOST_BYTES)
     saves, removes = message.save is not None and message.goal is not None, message.remove is not None
     if saves == removes or (message.save is None) != (message.goal is None):

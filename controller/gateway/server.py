@@ -28,7 +28,7 @@ from hyperbit.controller.refusals.refusal import Refusal
 
 log = logging.getLogger(__name__)
 
-MOST_SENDER = 64  # bytes of what a sender attaches that tell it from others
+MOST_SENDER = 64  # bytes of an attachment that identify its sender
 MOST_UNANSWERED = 100  # requests on one key; a planner refuses more than 16 goals by itself, if it is not too slow
 MOST_REFUSALS = 50  # refusals of puts published in one second
 MOST_NOTES = 50  # notes in one second on refused requests
@@ -43,7 +43,7 @@ Command = Literal["stop", "cancel", "reset", "goal", "jog", "degrade", "obstacle
 ServedKey = Command | Literal["plan", "arm", "result"]
 
 
-class GatewayParts(NamedTuple):  # what answers the requests of one arm
+class GatewayParts(NamedTuple):  # parts that answer the requests of one arm
     planner: Planner
     outbox: Outbox
     goals: RepeatedGoals
@@ -94,7 +94,6 @@ class Server:
         return way
 
     def _mailbox(self, key: str, mailbox: Mailbox) -> None:
-        """Puts samples of a key into a mailbox. A put must name the key in full."""
         name, loop = f"{self._prefix}/{key}", self._parts.planner.loop
 
         def put(sample: zenoh.Sample) -> None:
@@ -129,7 +128,7 @@ class Received:
 
 
 class Way:
-    """The way of requests on one key to the planner, and of their answers back, each once. For any thread."""
+    """Passes requests on one key to the planner, and each answer back, once. Thread-safe."""
 
     def __init__(self, prefix: str, key: ServedKey, reach: Reach, parts: GatewayParts) -> None:
         self.name, self._reach = f"{prefix}/{key}", reach  # name: the key in full
@@ -157,7 +156,7 @@ class Way:
         self._brake.slow_down()
 
     def _request(self, received: Received) -> None:
-        """Queues a request for the planner; raises Refusal if it is malformed, names no arm, or too many wait."""
+        """Queues a request for the planner. Raises Refusal if it is malformed, names no arm, or too many wait."""
         match self._key:
             case "arm":
                 parts = wanted(received.payload)
@@ -179,7 +178,7 @@ class Way:
         except Undecodable as refusal:
             if self._brake.explained.admits():
                 raise
-            raise Refusal(Reason.NOT_EXPLAINED, refusal.goal) from None  # in a flood: to find the reason takes long
+            raise Refusal(Reason.NOT_EXPLAINED, refusal.goal) from None  # in a flood: finding the reason takes long
         if isinstance(message, events.CancelMessage) and message.goal is not None:
             self._check_named(received.name, named=True)
         reply, request = partial(self._answer, received), self._planner.loop.request
@@ -205,7 +204,7 @@ class Way:
         self._answer(received, answer)
 
     def _find_result(self, received: Received) -> None:
-        """Answers from the ledger, which knows how a goal ended, also if its client was away."""
+        """Answers from the ledger, which has the results of ended goals, also for a client that was away."""
         goal = parse(received.payload, ResultQuery, "result", MOST_QUERY).id
         try:
             row = self._find(goal)
@@ -219,13 +218,13 @@ class Way:
         self._answer(received, {**told, "result": result})
 
     def _check_named(self, name: str, *, named: bool) -> None:
-        """Raises Refusal if a key expression does not name the key, or not in full though it must be `named`."""
+        """Raises Refusal if a key expression does not match the key, or is a wildcard though `named` forbids it."""
         if name == self.name or self._reach == "all" or (not named and name.rpartition("/")[2] == self._key):
             return
         raise Refusal(Reason.NOT_NAMED, key=self._key, name=self.name, given=name[:200])
 
     def _answer(self, received: Received, answer: Payload) -> None:
-        """Answers a request that has no answer yet, and notes it if a recorder listens."""
+        """Answers a request that has no answer yet, and publishes a note for a listening recorder."""
         try:
             self._unanswered.remove(received)
         except KeyError:
@@ -244,7 +243,7 @@ def content(payload: zenoh.ZBytes | None) -> bytes:
 
 
 def wanted(payload: bytes) -> Collection[str]:
-    """Returns the parts that a query of `arm` asks for, as in {"with": ["drawing"]}; empty in any other form."""
+    """Returns the parts in a query of `arm`, as in {"with": ["drawing"]}; empty for another form."""
     try:
         return msgspec.json.decode(payload, type=dict[str, list[str]]).get("with", [])
     except (msgspec.MsgspecError, RecursionError, UnicodeError):
@@ -252,7 +251,7 @@ def wanted(payload: bytes) -> Collection[str]:
 
 
 def noted_content(payload: bytes) -> dict[str, Any]:
-    """Returns `payload` as it came, null if it is empty; for a payload that is no JSON also its `text`."""
+    """Returns the unchanged `payload`, null if it is empty; for a payload that is no JSON also its `text`."""
     if not payload:
         return {"payload": None}
     try:

@@ -46,18 +46,15 @@ def fields_of_fault(code: str, source: str) -> dict[str, str]:
 
 
 def fields_of_mode(mode: str) -> dict[str, str]:
-    """Returns the fields of a change of the mode."""
     return {"MESSAGE_ID": message_id(f"mode-{mode}"), "HYPERBIT_MODE": mode}
 
 
 def fields_of_result(payload: Mapping[str, object]) -> dict[str, str]:
-    """Returns the fields of a goal's result, from its payload."""
     shown = {f"HYPERBIT_{name}": str(payload.get(name.lower())) for name in ("STATUS", "CODE")}
     return {"MESSAGE_ID": message_id(f"goal-{payload.get('status')}"), "HYPERBIT_GOAL": str(payload.get("id")), **shown}
 
 
 def fields_of_refusal(goal: str, reason: str, code: int) -> dict[str, str]:
-    """Returns the fields of a goal or jog that is refused: its id, the reason's name, and the code."""
     fields = {"HYPERBIT_GOAL": goal, "HYPERBIT_REASON": reason, "HYPERBIT_CODE": str(code)}
     return {"MESSAGE_ID": message_id(f"refused-{reason}"), **fields}
 
@@ -65,12 +62,8 @@ def fields_of_refusal(goal: str, reason: str, code: int) -> dict[str, str]:
 class JournalHandler(logging.Handler):
     """Sends each record to the journal without waiting; unsent datagrams go before the next record.
 
-    If the journal's socket is missing or refuses, the records go to another handler.
-
-    Args:
-        other: handler for records that the journal does not accept.
-        common: fields of every record.
-        path: of the journal's socket.
+    If the journal's socket is missing or refuses, the records go to the handler `other`. `common`: fields of every
+    record.
     """
 
     def __init__(self, other: logging.Handler, common: Fields, path: str = SOCKET) -> None:
@@ -81,7 +74,6 @@ class JournalHandler(logging.Handler):
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Sends a record, stores it for later, or passes it to the other handler."""
         try:
             data = datagram({**self._common, **fields_of(record)})
         except Exception:  # an error in a log call must not stop the arm
@@ -98,12 +90,10 @@ class JournalHandler(logging.Handler):
             self._waiting.clear()
             self._other.handle(record)
 
-    def setFormatter(self, fmt: logging.Formatter | None) -> None:  # as logging has it
-        """Sets the format of the other handler."""
+    def setFormatter(self, fmt: logging.Formatter | None) -> None:  # name from logging
         self._other.setFormatter(fmt)
 
     def close(self) -> None:
-        """Closes the socket and the other handler."""
         self._socket.close()
         self._other.close()
         super().close()
@@ -134,7 +124,6 @@ def is_journal(output: int) -> bool:
 
 
 def fields_of(record: logging.LogRecord) -> dict[str, str]:
-    """Returns the fields of a record, including those of its attribute `journal`."""
     text = record.getMessage()
     if record.exc_info:
         text += "\n" + logging.Formatter().formatException(record.exc_info)

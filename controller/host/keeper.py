@@ -1,4 +1,4 @@
-"""The keeper: a process that brings to the disk what its parent keeps in memory, so that no disk delays the parent.
+"""The keeper: a process that copies its parent's memory to the disk, so that no disk delays the parent.
 
 A write to a disk can take seconds, and a thread would take the interpreter's lock from the parent's loop. The keeper is
 started as `python -I -S keeper.py`, so this file imports the standard library only. The keeper survives the signals of
@@ -6,9 +6,9 @@ a service manager or a terminal. It ends after its parent, even a killed one, an
 
 The job `copy` copies a file with one writer to the disk. The job `events` saves the last events of a core, which the
 flight recorder writes to two files in memory, the generations. Each begins with a line of JSON and a pickle of the
-core, the checkpoint. Blocks of entries follow, each a length and a pickle. A newer generation replaces the older of the
-two, so that together they have the last events, and a state from which these can be replayed. A saved file has MAGIC, a
-line of JSON, and both generations in zlib.
+core, the checkpoint. Blocks of entries follow, each a length and a pickle. A new generation replaces the older of the
+two. So together they have the last events, and a state from which these can be replayed. A saved file has MAGIC, a line
+of JSON, and both generations in zlib.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ import subprocess
 import sys
 import time
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 MAGIC = b"hyperbit events 1\n"
 SHARED = Path("/dev/shm")  # a file system in memory
 LENGTH = struct.Struct("<I")
 LARGEST = 1 << 28  # bytes of an unpacked file
 AT_MOST_EVERY = 60.0  # [s] between two saved files of a process
-SAME_CAUSE_EVERY = 3600.0  # [s] between two files of one cause: a fault that comes back all night is saved a few times
+SAME_CAUSE_EVERY = 3600.0  # [s] between two files of one cause: a recurring fault is saved a few times a night
 KINDS = ("executor", "planner")
 ARM = re.compile(r"[A-Za-z0-9_-]{1,64}")
 KEPT = 10  # saved files of an arm's process; the oldest ones are deleted
@@ -48,16 +48,16 @@ class FileInUse(Exception):
 
 
 class RefusedFile(ValueError):
-    """A file is no file of events, or contains what such a file may not contain; the text says what."""
+    """A file is no file of events, or contains forbidden objects; the text says what."""
 
 
 def lock_file(path: Path, used: str, timeout: float = 0.0) -> int:
     """Opens and locks a file, writes the process id into its first line, and returns its file descriptor.
 
-    The file is created if it does not exist. The lock lasts until the last process that shares the descriptor ends.
+    The file is created if it does not exist. The lock lasts until the last process that shares the descriptor ends. The
+    owner of the lock may delete the file.
 
     Args:
-        path: of the file; who has the lock may delete it.
         used: text of the error, before the process id.
         timeout: longest time to wait for the end of another process [s].
 
@@ -71,7 +71,7 @@ def lock_file(path: Path, used: str, timeout: float = 0.0) -> int:
         number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         try:
             fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.fstat(number).st_nlink:  # else the last owner has just deleted it
+            if os.fstat(number).st_nlink:  # otherwise the last owner has just deleted it
                 os.pwrite(number, b"%d\n" % os.getpid(), 0)
                 return number
         except BlockingIOError:
@@ -83,41 +83,58 @@ def lock_file(path: Path, used: str, timeout: float = 0.0) -> int:
         os.close(number)
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Writes a file, readable by the same user only. After a failure, also of the power, it has its old content.
+@contextlib.contextmanager
+def whole_file(path: Path, *, sync: bool = True) -> Iterator[IO[bytes]]:
+    """Yields a file to write, which then replaces another one. After a failure, also of the power, the old one stays.
+
+    Only the same user can read the file. Without `sync` nobody waits for the disk, and a failure of the power can leave
+    an empty file.
 
     Raises:
-        OSError: the file cannot be written.
+        OSError: it cannot be written.
     """
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600), "wb") as file:
-            file.write(content)
+        with os.fdopen(os.open(partial, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600), "w+b") as file:
+            yield file
             file.flush()
-            os.fsync(file.fileno())
+            if sync:
+                os.fsync(file.fileno())
         partial.replace(path)
-    except OSError:
+    except BaseException:
         partial.unlink(missing_ok=True)
         raise
+    if not sync:
+        return
     folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        os.fsync(folder)  # the name
+        os.fsync(folder)  # writes the name to the disk
     finally:
         os.close(folder)
 
 
-def start_keeper(job: str, *arguments: object, files: Sequence[int] = ()) -> subprocess.Popen[bytes]:
-    """Starts a keeper, whose pipes do not block.
+def write_whole(path: Path, content: bytes, *, sync: bool = True) -> None:
+    """Replaces a file as `whole_file` does."""
+    with whole_file(path, sync=sync) as file:
+        file.write(content)
 
-    Args:
-        job: "copy" or "events".
-        arguments: of the job.
-        files: descriptors that the keeper gets.
+
+def set_aside(path: Path, *suffixes: str) -> str:
+    """Renames a damaged file, and those with further suffixes; returns its new name.
 
     Raises:
-        OSError: it cannot be started.
+        OSError: it cannot be renamed.
     """
+    renamed = path.with_name(f"{path.name}.damaged-{time.time():.0f}")
+    for suffix in ("", *suffixes):
+        if (part := Path(f"{path}{suffix}")).exists():
+            part.rename(f"{renamed}{suffix}")
+    return renamed.name
+
+
+def start_keeper(job: str, *arguments: object, files: Sequence[int] = ()) -> subprocess.Popen[bytes]:
+    """Starts a keeper with the job "copy" or "events", and pipes that do not block. May raise OSError."""
     command = [sys.executable, "-I", "-S", __file__, job, *map(str, arguments)]
     told = subprocess.PIPE if job == "copy" else subprocess.DEVNULL
     errors = subprocess.DEVNULL if job == "copy" else None
@@ -132,14 +149,10 @@ def start_keeper(job: str, *arguments: object, files: Sequence[int] = ()) -> sub
 
 
 def copy(memory: int, path: Path, interval: float) -> None:
-    """Copies a file in memory to the disk when it has changed, at each interval, and when the standard input ends.
+    """Copies a changed file in memory to the disk, each `interval` [s], and when the standard input ends.
 
-    The standard output has a line for each change: why the last copy failed, or an empty line if it succeeded.
-
-    Args:
-        memory: descriptor of the file in memory.
-        path: of the file on the disk.
-        interval: between two copies [s].
+    The standard output has a line for each change: why the last copy failed, or an empty line if it succeeded. `memory`
+    is the descriptor of the file in memory.
     """
     told, copied, ended = None, b"", False
     while not ended:
@@ -164,11 +177,7 @@ def ring_paths(arm: str, kind: str, pid: int) -> tuple[Path, Path]:
 
 
 def read_generation(path: Path) -> bytes:
-    """Returns a generation in memory; b"" if it is not there.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """Returns a generation in memory; b"" if it is not there. Raises OSError if it cannot be read."""
     with contextlib.suppress(FileNotFoundError):
         file = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
         with os.fdopen(file, "rb") as opened:
@@ -180,8 +189,7 @@ def read_generation(path: Path) -> bytes:
 def about(content: bytes) -> dict[str, Any]:
     """Returns the line of JSON at the beginning of a generation.
 
-    Raises:
-        RefusedFile: there is none, or its values are wrong: its arm and kind become names of files.
+    Raises RefusedFile if there is none, or its values are wrong: its arm and kind become names of files.
     """
     try:
         found: dict[str, Any] = json.loads(content[: content.index(b"\n")])
@@ -196,16 +204,13 @@ def about(content: bytes) -> dict[str, Any]:
 
 
 def save(paths: Sequence[Path], folder: Path, cause: str, kept: int | None = None) -> Path:
-    """Saves the generations of one process as a file.
+    """Saves the generations of one process as a file; returns its path. Only the same user can read the file.
 
     Args:
         paths: of the generations in memory.
         folder: of the file.
         cause: for its name.
         kept: most files of this arm and kind; the oldest ones are deleted. None: no limit.
-
-    Returns:
-        Path of the file, readable by the same user only.
 
     Raises:
         OSError: a file cannot be read or written, or nothing was recorded.
@@ -230,7 +235,7 @@ def save(paths: Sequence[Path], folder: Path, cause: str, kept: int | None = Non
 
 
 def keep(paths: Sequence[Path], folder: Path) -> None:
-    """Saves the events for each line of the standard input, which names the cause, and when the process was killed.
+    """Saves the events for each line of the standard input, which names the cause, and after a kill of the process.
 
     A line "end" ends the keeper. At the end the files in memory are deleted.
     """
@@ -254,7 +259,7 @@ def keep(paths: Sequence[Path], folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    with contextlib.suppress(OSError):  # of a real-time executor whose unit lets children inherit its priority
+    with contextlib.suppress(OSError):  # the unit may let children inherit the executor's real-time priority
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     if sys.argv[1] == "copy":
         copy(int(sys.argv[2]), Path(sys.argv[3]), float(sys.argv[4]))

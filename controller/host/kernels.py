@@ -3,7 +3,7 @@
     python -m hyperbit.controller.host.kernels
 
 numba compiles a kernel when its module is imported, and stores the machine code in its cache. A single process that
-imports all modules takes minutes. Here a process of its own imports each module, after those that it depends on.
+imports all modules takes minutes. Here a separate process imports each module, after its dependencies.
 """
 
 import ast
@@ -30,17 +30,15 @@ def imports(module: str) -> set[str]:
 
 
 def path(module: str) -> Path:
-    """Returns the path of a module of this package."""
     return PACKAGE.joinpath(*module.split(".")[1:]).with_suffix(".py")
 
 
 def source(module: str) -> str:
-    """Returns the source of a module of this package."""
     return path(module).read_text(encoding="utf-8")
 
 
 def kernels(roots: tuple[str, ...] = ROOTS) -> dict[str, set[str]]:
-    """Returns the modules with kernels that the roots import, each with the modules that it depends on."""
+    """Returns the modules with kernels that the roots import, each with its dependencies."""
     known: dict[str, set[str]] = {}
 
     def below(module: str) -> set[str]:
@@ -55,11 +53,7 @@ def kernels(roots: tuple[str, ...] = ROOTS) -> dict[str, set[str]]:
 
 
 def compile_all(waiting: dict[str, set[str]], processes: int) -> None:
-    """Imports modules in forked processes, each after the modules that it depends on.
-
-    Raises:
-        RuntimeError: the import of a module failed; its traceback is on stderr.
-    """
+    """Imports modules in forked processes, each after its dependencies. Raises RuntimeError if one fails."""
     from numba import njit
 
     # numba's own modules are loaded once here, and not in each process.
@@ -80,13 +74,12 @@ def compile_all(waiting: dict[str, set[str]], processes: int) -> None:
 
 
 def fork(module: str) -> int:
-    """Starts a process that imports a module; returns its id."""
     if (child := os.fork()) != 0:
         return child
     status = 1
     try:
         imported = importlib.import_module(module)
-        for variant in getattr(imported, "KERNEL_VARIANTS", ()):  # of a kernel that is made when it is needed
+        for variant in getattr(imported, "KERNEL_VARIANTS", ()):  # signatures of a kernel that is compiled on demand
             imported.kernel(*variant)
         status = 0
     finally:

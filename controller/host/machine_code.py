@@ -1,16 +1,23 @@
-"""The folder for the machine code of the kernels, chosen when numba is first imported.
+"""The machine code of the kernels: its folder, chosen when numba is first imported, and damaged or missing files of it.
 
 numba refuses to compile a kernel if it finds no folder for its machine code: a read-only installation, and a user
 without a home, for example. A temporary folder takes its place then.
 """
 
+import contextlib
+import importlib.util
 import os
-import stat
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from hyperbit.controller.host.folders import private_folder, user_folder, writable
 
 VARIABLE = "NUMBA_CACHE_DIR"
+told = list[str]()  # sentences for the user, each told once
 REFUSAL = "no locator available"  # in numba's error, if it finds no folder
 ADVICE = f"set {VARIABLE} to a folder that you can write"
 
@@ -18,61 +25,59 @@ ADVICE = f"set {VARIABLE} to a folder that you can write"
 def usual_folders() -> list[Path]:
     """Returns the folders that numba tries, in its order."""
     named = os.environ.get(VARIABLE)
-    home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    home = user_folder("XDG_CACHE_HOME", ".cache")
     return [*([Path(named)] if named else []), Path(__file__).parent / "__pycache__", home / "numba"]
 
 
-def writable(folder: Path) -> bool:
-    """Returns whether a folder exists or can be created, and takes files, as numba tests it."""
-    import tempfile
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-    except OSError:
-        return False
-    return True
-
-
-def private_folder() -> Path | None:
-    """Returns a temporary folder that only this user can write, for there is code in it; None if there is none."""
-    import tempfile
-
-    try:
-        folder = Path(tempfile.gettempdir()) / f"hyperbit-numba-{os.getuid()}"
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-    except OSError:
-        return None
-    own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
-    return folder if own and writable(folder) else None
-
-
 def choose(folders: Iterable[Path]) -> str | None:
-    """Makes numba use a temporary folder if none of its usual folders can be written.
-
-    Returns:
-        A sentence for the user; None if a usual folder can be written.
-    """
+    """Makes numba use a temporary folder if none of its usual ones is writable; returns a sentence on this, or None."""
     tried = list(folders)
     if any(writable(folder) for folder in tried):
         return None
     refused = f"numba cannot write its machine code to {', '.join(map(str, tried))}"
-    if (folder := private_folder()) is None:
+    if (folder := private_folder("numba")) is None:
         return f"{refused}, and no temporary folder can be written: {ADVICE}"
     os.environ[VARIABLE] = str(folder)
     return f"{refused}; it goes to {folder}, where it may be deleted. To keep it, {ADVICE}"
 
 
 class FirstImport:
-    """A finder of modules that finds none: it notices the first import of numba, and chooses the folder before."""
+    """A finder of modules: it chooses the folder before the first import of numba, and then changes numba's cache."""
 
-    def find_spec(self, name: str, path: object = None, target: object = None) -> None:
-        """Chooses the folder if the module is numba."""
-        if name == "numba":
-            sys.meta_path.remove(self)
-            if (sentence := choose(usual_folders())) is not None:
-                sys.stderr.write(f"{sentence}\n")
+    def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        """Returns the specification of the module with the cache; None for all other modules."""
+        if name == "numba" and (sentence := choose(usual_folders())) is not None:
+            sys.stderr.write(f"{sentence}\n")
+        if name != "numba.core.caching":
+            return None
+        sys.meta_path.remove(self)
+        spec = importlib.util.find_spec(name)
+        if spec is not None and spec.loader is not None:
+            execute = spec.loader.exec_module
+
+            def executed(module: ModuleType) -> None:
+                execute(module)
+                module.Cache._guard_against_spurious_io_errors = forgiving
+
+            spec.loader.exec_module = executed  # type: ignore[method-assign]
+        return spec
+
+
+@contextlib.contextmanager
+def forgiving(cache: Any) -> Iterator[None]:
+    """Around each access of numba to its files: what cannot be read is compiled, what cannot be written is not kept.
+
+    The index of a damaged file is deleted, so that the code is kept again.
+    """
+    try:
+        yield
+    except OSError as error:
+        if not told:
+            told.append(f"numba cannot keep its machine code: {error}; it is compiled again at each start")
+            sys.stderr.write(f"{told[0]}\n")
+    except Exception:
+        with contextlib.suppress(OSError, AttributeError):
+            os.unlink(cache._cache_file._index_path)
 
 
 def watch() -> None:

@@ -12,8 +12,7 @@ FIRST = 3  # number of the first file that systemd passes on, see sd_listen_fds(
 class Notifier:
     """Sends assignments to $NOTIFY_SOCKET; sends nothing if systemd did not start the process.
 
-    Attributes:
-        watchdog: longest time between two watchdog messages [s]; None if the watchdog is off.
+    `watchdog` is the longest time between two watchdog messages [s]; None if the watchdog is off.
     """
 
     def __init__(self) -> None:
@@ -35,10 +34,8 @@ class Notifier:
     def kept_file(self, name: str) -> IO[bytes] | None:
         """Returns a file in memory that outlives the process; None if systemd did not start the process.
 
-        systemd keeps it while it restarts the service, if the unit has `FileDescriptorStoreMax`.
-
-        Args:
-            name: of the file; letters and hyphens.
+        systemd keeps it while it restarts the service, if the unit has `FileDescriptorStoreMax`. `name` has letters and
+        hyphens.
         """
         if self._socket is None:
             return None

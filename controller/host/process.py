@@ -1,4 +1,4 @@
-"""Events and actions that the cores of planner and executor share: the end of the process, systemd and the log."""
+"""Events and actions of both cores, planner and executor: the end of the process, systemd and the log."""
 
 from __future__ import annotations
 

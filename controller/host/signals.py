@@ -19,7 +19,7 @@ OF_TERMINAL = (signal.SIGINT, signal.SIGHUP)  # a terminal sends them to all its
 
 
 def end_on_signals(end: Callable[[], object]) -> None:
-    """Has each signal that ends the process call `end` in the main thread.
+    """Makes each signal that ends the process call `end` in the main thread.
 
     A SIGHUP that follows another signal is ignored: kernel, shell and service manager each send one.
     """
@@ -33,10 +33,10 @@ def end_on_signals(end: Callable[[], object]) -> None:
 
 
 def exit_on_signals() -> None:
-    """Has SIGTERM and SIGHUP raise SystemExit, so that the command closes what is open; Python does this at SIGINT.
+    """Makes SIGTERM and SIGHUP raise SystemExit, so that the command closes its resources. Python does this at SIGINT.
 
-    The exit code is that of a shell, 128 and the signal's number. A callback of C drops every exception, such as one
-    of LLVM while kernels are loaded; then SystemExit is raised again soon after it.
+    The exit code is that of a shell, 128 plus the signal's number. A C callback drops every exception, such as one of
+    LLVM while kernels are loaded; then SystemExit is raised again soon after it.
     """
 
     def handle(number: int, frame: FrameType | None) -> None:
@@ -56,11 +56,11 @@ def exit_on_signals() -> None:
 
 
 def ignore(numbers: Iterable[signal.Signals]) -> None:
-    """Ignores signals from now on, also in programs that the process starts afterwards."""
+    """Ignores signals from now on, also in later child processes."""
     for number in numbers:
         signal.signal(number, signal.SIG_IGN)
 
 
 def hang_up() -> tuple[signal.Signals, ...]:
-    """Returns SIGHUP if it is to end this process; nothing if it is ignored."""
+    """Returns SIGHUP unless it is ignored."""
     return () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)

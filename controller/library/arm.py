@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -17,7 +17,8 @@ from hyperbit.controller.armfile.settings import ArmSettings
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.library.density import Density
 from hyperbit.controller.library.errors import ArmError, ConfigurationError, GoalError, LockError
-from hyperbit.controller.library.modules import Module, base_settings, build, checked
+from hyperbit.controller.library.goals import Number
+from hyperbit.controller.library.modules import Module, build, checked, frame_settings
 from hyperbit.controller.library.obstacles import Obstacle, obstacle_settings
 from hyperbit.controller.manipulator.locked import LockedStates, lock_actuators, transferred
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
@@ -29,7 +30,6 @@ from hyperbit.controller.workspace.locked_reach import LockChoices, LockedReach,
 from hyperbit.controller.workspace.orientations import Orientations, orientations_at
 
 Array = NDArray[np.float64]
-LockState = Literal["contracted", "extended"] | None
 
 
 class Arm:
@@ -42,6 +42,7 @@ class Arm:
         modules: entries of the chain, base first, see `vgt`, `revolute`, `prismatic`, `platform` and `transforms`.
         name: letters, digits, "_" and "-".
         base: position (2,) or (3,), or frame (4, 4), of the first module in the world; the origin if None.
+        tip: position (2,) or (3,), or frame (4, 4), of the tool's tip in the last module's frame; that frame if None.
         tolerance: greatest distance of the tip from goals that have no tolerance.
         angle_tolerance: greatest angle of the tip from goals that have an orientation and no tolerance [rad].
         obstacles: obstacles in the world; no module may touch them.
@@ -59,12 +60,13 @@ class Arm:
         *,
         name: str = "arm",
         base: ArrayLike | None = None,
-        tolerance: float = 2e-3,
-        angle_tolerance: float = 0.05,
+        tip: ArrayLike | None = None,
+        tolerance: Number = 2e-3,
+        angle_tolerance: Number = 0.05,
         obstacles: Sequence[Obstacle] = (),
-        body_radius: float = 0.0,
+        body_radius: Number = 0.0,
         self_collision: bool = False,
-        pixel: float | None = None,
+        pixel: Number | None = None,
     ) -> None:
         faults: list[str] = []
         regions = [obstacle_settings(obstacle, faults) for obstacle in obstacles]
@@ -73,12 +75,13 @@ class Arm:
         fields = {
             "name": name,
             "modules": list(modules),
-            "base": base_settings(base),
-            "tolerance": {"position": tolerance, "orientation": angle_tolerance},
+            "base": frame_settings((0.0, 0.0) if base is None else base, "base"),
+            "tip": None if tip is None else frame_settings(tip, "tip"),
+            "tolerance": {"position": float(tolerance), "orientation": float(angle_tolerance)},
             "obstacles": regions,
-            "body_radius": body_radius,
+            "body_radius": float(body_radius),
             "self_collision": self_collision,
-            "workspace": {} if pixel is None else {"pixel": pixel},
+            "workspace": {} if pixel is None else {"pixel": float(pixel)},
         }
         settings = checked(ArmSettings, msgspec.to_builtins(fields), name)
         self._set_arm(build(settings, Path(name)))
@@ -159,10 +162,10 @@ class Arm:
 
     @cached_property
     def home(self) -> Configuration:
-        """First configuration, shape (B,): state 0 of each module, or its first state that locks allow."""
+        """First configuration, shape (B,), read-only: state 0 of each module, or its first state that locks allow."""
         return self._to_whole(np.zeros(len(self._reduced.modules), dtype=np.int64))
 
-    def lock(self, states: Mapping[str, LockState]) -> Arm:
+    def lock(self, states: Mapping[str, str | None]) -> Arm:
         """Returns a copy of the arm with locked actuators; this arm does not change.
 
         Args:
@@ -225,6 +228,10 @@ class Arm:
         Raises:
             ConfigurationError: no configuration has these states.
         """
+        given = np.asarray(actuator_states)
+        if given.shape == (len(self.actuators),) and (wrong := np.flatnonzero((given != 0) & (given != 1))).size:
+            label, state = self.actuators[wrong[0]], given[wrong[0]]
+            raise ConfigurationError(f"an actuator's state is 0 or 1, got {state!r} of actuator {label}")
         try:
             return self._whole.configuration(actuator_states)
         except ValueError as error:
@@ -264,7 +271,7 @@ class Arm:
         """Returns the density of the tip's positions; locked actuators are respected."""
         return Density(self._densities, self._reduced)
 
-    def coverage(self, radius: float | None = None, *, seed: int = 0) -> Coverage:
+    def coverage(self, radius: Number | None = None, *, seed: int = 0) -> Coverage:
         """Returns area or volume within a radius of the tips, and redundancy over it; locked actuators are respected.
 
         Args:
@@ -274,12 +281,12 @@ class Arm:
         Raises:
             GoalError: the radius is not positive.
         """
-        own = self.tolerance if radius is None else radius
+        own = self.tolerance if radius is None else float(radius)
         if not 0 < own < np.inf:
             raise GoalError(f"a radius above 0 is needed, got {radius!r}")
         return coverage_of(self._reduced, self._densities, own, seed=seed)
 
-    def orientations(self, point: ArrayLike, radius: float | None = None, *, seed: int = 0) -> Orientations:
+    def orientations(self, point: ArrayLike, radius: Number | None = None, *, seed: int = 0) -> Orientations:
         """Returns the density of orientations at a point; locked actuators are respected.
 
         Args:
@@ -290,7 +297,7 @@ class Arm:
         Raises:
             GoalError: the point has a wrong number of coordinates, or the radius is not positive.
         """
-        position, own = np.asarray(point, dtype=float), self.tolerance if radius is None else radius
+        position, own = np.asarray(point, dtype=float), self.tolerance if radius is None else float(radius)
         if position.shape != (self.dimension,) or not np.isfinite(position).all() or not 0 < own < np.inf:
             raise GoalError(f"a point of shape ({self.dimension},) and a radius above 0 are needed")
         return orientations_at(self._reduced, self._densities, position, own, seed=seed)
@@ -334,8 +341,10 @@ class Arm:
             raise ConfigurationError(f"as actuators are locked, {error}") from None
 
     def _to_whole(self, configuration: Configuration) -> Configuration:
-        """Returns a configuration (B,) of the reduced arm in the numbering of the whole arm."""
-        return transferred(configuration, self._reduced, self._whole)
+        """Returns a configuration (B,) of the reduced arm in the numbering of the whole arm, read-only."""
+        found = transferred(configuration, self._reduced, self._whole).copy()
+        found.flags.writeable = False
+        return found
 
 
 def load(path: str | Path) -> Arm:

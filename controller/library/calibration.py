@@ -61,5 +61,5 @@ def calibrate(arm: Arm, configurations: ArrayLike, tips: ArrayLike, *, each: boo
         raise CalibrationError(str(error)) from None
     fields: dict[str, Any] = {"name": arm.name, "tolerance": {"position": arm.tolerance}, **report.description}
     found = checked(ArmSettings, fields, arm.name)
-    settings = structs.replace(arm._arm.settings, base=found.base, modules=found.modules)
+    settings = structs.replace(arm._arm.settings, base=found.base, modules=found.modules, tip=found.tip)
     return Fitted(Arm._of(build(settings, Path(arm.name)), arm._locked_states), report)

@@ -1,6 +1,7 @@
 """The exceptions of the library; all are subclasses of `Error`."""
 
 from collections.abc import Sequence
+from typing import Any
 
 from hyperbit.controller.armfile.strict import fault_list
 
@@ -19,8 +20,12 @@ class ArmError(Error):
 
     def __init__(self, faults: Sequence[str], where: str = "", lines: Sequence[int | None] = ()) -> None:
         """Creates the exception; its message has one line for each fault."""
-        self.faults, self.lines = tuple(faults), tuple(lines)
+        self.faults, self.lines, self._where = tuple(faults), tuple(lines), where
         super().__init__(fault_list(where, self.faults, self.lines) if where else "\n".join(self.faults))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Returns how pickle builds the exception again, in another process."""
+        return ArmError, (self.faults, self._where, self.lines)
 
 
 class ConfigurationError(Error):

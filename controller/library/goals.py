@@ -3,15 +3,18 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hyperbit.controller.armfile.choices import LARGEST, LARGEST_ANGLE, degrees_hint
 from hyperbit.controller.armfile.strict import UNIT
 from hyperbit.controller.library.errors import GoalError
 from hyperbit.controller.manipulator import frames
 
 Array = NDArray[np.float64]
+Number = float | np.floating[Any] | np.integer[Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,13 +33,14 @@ class Goal:
     """
 
     position: ArrayLike
-    orientation: float | Sequence[float] | Array | None = None
-    tolerance: float | None = None
-    angle_tolerance: float | None = None
+    orientation: Number | Sequence[float] | Array | None = None
+    tolerance: Number | None = None
+    angle_tolerance: Number | None = None
 
     def __post_init__(self) -> None:
-        """Checks the numbers."""
+        """Checks the numbers, and keeps read-only copies of arrays."""
         position = numbers(self.position, "position")
+        object.__setattr__(self, "position", position)
         if position.shape not in ((2,), (3,)):
             raise GoalError(f"a goal's position has shape (2,) or (3,), got {position.shape}")
         if self.orientation is not None:
@@ -44,12 +48,17 @@ class Goal:
             if orientation.shape != (() if position.shape == (2,) else (4,)):
                 form = "an angle [rad]" if position.shape == (2,) else "a quaternion x, y, z, w of shape (4,)"
                 raise GoalError(f"the orientation of this goal is {form}, got shape {orientation.shape}")
+            object.__setattr__(self, "orientation", float(orientation) if orientation.ndim == 0 else orientation)
+            if orientation.ndim == 0 and abs(orientation) > LARGEST_ANGLE:
+                words = f"a number from -{LARGEST_ANGLE} to {LARGEST_ANGLE} is needed, got {float(orientation):g}"
+                raise GoalError(f"orientation: {words}{degrees_hint(float(orientation))}")
             if orientation.shape == (4,) and abs(float(np.linalg.norm(orientation)) - 1.0) > UNIT:
                 raise GoalError(f"a quaternion of length 1 is needed, got {orientation.tolist()}")
-        for name in ("tolerance", "angle_tolerance"):
+        for name, most in (("tolerance", LARGEST), ("angle_tolerance", LARGEST_ANGLE)):
             value = getattr(self, name)
-            if value is not None and not 1e-9 <= value <= 1e6:
-                raise GoalError(f"{name}: a number from 1e-9 to 1e6 is needed, got {value!r}")
+            if value is not None and not 1e-9 <= value <= most:
+                raise GoalError(f"{name}: a number from 1e-9 to {most:g} is needed, got {value!r}")
+            object.__setattr__(self, name, None if value is None else float(value))
         if self.angle_tolerance is not None and self.orientation is None:
             raise GoalError("angle_tolerance: the goal has no orientation")
 
@@ -65,17 +74,20 @@ class Goal:
 
 
 def numbers(values: ArrayLike, name: str) -> Array:
-    """Returns values as an array of finite floats.
+    """Returns values as a read-only array of finite floats, which the caller does not share.
 
     Raises:
         GoalError: a value is no finite number.
     """
     try:
-        result = np.asarray(values, dtype=float)
+        result = np.array(values, dtype=float)
     except (TypeError, ValueError):
         raise GoalError(f"{name}: numbers are needed, got {values!r}") from None
     if not np.isfinite(result).all():
         raise GoalError(f"{name}: finite numbers are needed, got {result.tolist()}")
+    if np.ma.is_masked(values):
+        raise GoalError(f"{name}: numbers are needed, but some are masked")
+    result.flags.writeable = False
     return result
 
 
@@ -106,5 +118,5 @@ def with_tolerances(goal: Goal | ArrayLike, dimension: int, tolerance: float, an
     size = len(np.asarray(own.position))
     if size != dimension:
         raise GoalError(f"a goal of this arm has {dimension} coordinates, got {size}")
-    angle = math.inf if own.orientation is None else own.angle_tolerance or angle_tolerance
-    return ToleratedGoal(own, own.target, own.tolerance or tolerance, angle)
+    angle = math.inf if own.orientation is None else float(own.angle_tolerance or angle_tolerance)
+    return ToleratedGoal(own, own.target, float(own.tolerance or tolerance), angle)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from itertools import islice
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from hyperbit.controller.library.errors import StudyError
-from hyperbit.controller.library.goals import Goal
+from hyperbit.controller.library.goals import Goal, Number
 from hyperbit.controller.library.solver import Solver, Start, checked_time
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
@@ -51,12 +51,12 @@ class SolverJob(NamedTuple):
 
 def map(
     solver: Solver,
-    goals: Iterable[Goal | ArrayLike],
+    goals: Iterable[Goal | ArrayLike] | NDArray[Any],
     start: Start = None,
     *,
     client: Client | None = None,
     workers: int = 1,
-    effort: float = EFFORT,
+    effort: Number = EFFORT,
     method: Method = MINIMUM_SWITCH,
 ) -> Iterator[Solution]:
     """Yields a solution for each goal, in the order of the goals, each searched from the same start.
@@ -81,12 +81,12 @@ def map(
     if workers < 1:
         raise StudyError(f"workers: 1 or more are needed, got {workers!r}")
     checked_time(method, 1.0, effort)
-    job = SolverJob(solver, solver.arm._to_whole(solver._start(start)), method, effort)
+    job = SolverJob(solver, solver.arm._to_whole(solver._start(start)), method, float(effort))
     return solutions(job, goals, client, workers)
 
 
 def solutions(
-    job: SolverJob, goals: Iterable[Goal | ArrayLike], client: Client | None, workers: int
+    job: SolverJob, goals: Iterable[Goal | ArrayLike] | NDArray[Any], client: Client | None, workers: int
 ) -> Iterator[Solution]:
     """Yields the solutions of a job; starts workers at the first."""
     left = iter(goals)

@@ -82,12 +82,18 @@ def vgt(
 
 
 def revolute(
-    angles: ArrayLike, *, link: ArrayLike = (0.0, 0.0), axis: ArrayLike = (0.0, 0.0, 1.0), count: int = 1
+    angles: ArrayLike | None = None,
+    *,
+    cylinders: ArrayLike | None = None,
+    link: ArrayLike = (0.0, 0.0),
+    axis: ArrayLike = (0.0, 0.0, 1.0),
+    count: int = 1,
 ) -> RevoluteSettings:
-    """Returns `count` revolute joints with K angles.
+    """Returns `count` revolute joints with K angles, or with n cylinders in series.
 
     Args:
         angles: shape (K,) [rad].
+        cylinders: in place of `angles`: what each cylinder adds contracted and extended, shape (n, 2) [rad].
         link: position of the next module in the turned frame, shape (2,) or (3,), or its frame, shape (4, 4).
         axis: of rotation, shape (3,).
         count: number of modules.
@@ -95,25 +101,33 @@ def revolute(
     Raises:
         ArmError: a value is out of its bounds.
     """
-    fields = {"angles": plain(angles), "axis": plain(axis), "link": placement(link), "count": count}
+    values = {name: plain(it) for name, it in (("angles", angles), ("cylinders", cylinders)) if it is not None}
+    fields = {**values, "axis": plain(axis), "link": placement(link), "count": count}
     return checked(RevoluteSettings, fields, "revolute")
 
 
 def prismatic(
-    axis: ArrayLike, lengths: ArrayLike, *, link: ArrayLike = (0.0, 0.0), count: int = 1
+    axis: ArrayLike,
+    lengths: ArrayLike | None = None,
+    *,
+    cylinders: ArrayLike | None = None,
+    link: ArrayLike = (0.0, 0.0),
+    count: int = 1,
 ) -> PrismaticSettings:
-    """Returns `count` prismatic joints with K lengths.
+    """Returns `count` prismatic joints with K lengths, or with n cylinders in series.
 
     Args:
         axis: direction of sliding, shape (2,) or (3,).
         lengths: shape (K,), ascending.
+        cylinders: in place of `lengths`: what each cylinder adds contracted and extended, shape (n, 2).
         link: position of the next module in the moved frame, shape (2,) or (3,), or its frame, shape (4, 4).
         count: number of modules.
 
     Raises:
         ArmError: a value is out of its bounds.
     """
-    fields = {"axis": plain(axis), "lengths": plain(lengths), "link": placement(link), "count": count}
+    values = {name: plain(it) for name, it in (("lengths", lengths), ("cylinders", cylinders)) if it is not None}
+    fields = {**values, "axis": plain(axis), "link": placement(link), "count": count}
     return checked(PrismaticSettings, fields, "prismatic")
 
 
@@ -180,9 +194,9 @@ def in_plane(frame: frames.Frame) -> bool:
     return bool(np.allclose(frame[2], (0.0, 0.0, 1.0, 0.0), atol=1e-12))
 
 
-def base_settings(base: ArrayLike | None) -> FrameSettings:
-    """Returns the base of an arm: a position (2,) or (3,), or a frame (4, 4); the origin if None."""
-    return checked(FrameSettings, placement((0.0, 0.0) if base is None else base), "base")
+def frame_settings(frame: ArrayLike, name: str) -> FrameSettings:
+    """Returns a position (2,) or (3,), or a frame (4, 4), as the field `name` of an arm's file."""
+    return checked(FrameSettings, placement(frame), name)
 
 
 def build(settings: ArmSettings, path: Path) -> config.Arm:

@@ -10,19 +10,28 @@ from numpy.typing import ArrayLike
 from hyperbit.controller.armfile.settings import ObstacleSettings
 from hyperbit.controller.armfile.strict import check
 from hyperbit.controller.library.errors import ObstacleError
+from hyperbit.controller.library.goals import Number
 from hyperbit.controller.obstacles.notation import parse_obstacles
 from hyperbit.controller.obstacles.obstacles import Obstacles
 
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """Base of all obstacles."""
+    """Base of all obstacles. An obstacle keeps read-only copies of arrays."""
+
+    def __post_init__(self) -> None:
+        """Copies arrays, which the caller may change later."""
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                copy = value.copy()
+                copy.flags.writeable = False
+                object.__setattr__(self, name, copy)
 
 
 @dataclass(frozen=True, eq=False)
 class _Round(Obstacle):
     centre: ArrayLike
-    radius: float
+    radius: Number
     name: str | None = None
 
 
@@ -67,7 +76,7 @@ class Box(Obstacle):
 
     centre: ArrayLike
     size: ArrayLike
-    angle: float | None = None
+    angle: Number | None = None
     orientation: ArrayLike | None = None
     name: str | None = None
 

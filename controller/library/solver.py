@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hyperbit.controller.library.arm import Arm
 from hyperbit.controller.library.errors import GoalError, PathError
-from hyperbit.controller.library.goals import Goal, ToleratedGoal, with_tolerances
+from hyperbit.controller.library.goals import Goal, Number, ToleratedGoal, with_tolerances
 from hyperbit.controller.library.obstacles import Obstacle, build_obstacles
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.motion.plans.transitions import TransitionPlanner
@@ -107,7 +107,7 @@ class Solver:
         self.arm = arm
         self.obstacles = tuple(obstacles)
         self._regions = build_obstacles(obstacles, arm.dimension)
-        self._weights = arm.weights if weights is None else np.asarray(weights, dtype=float)
+        self._weights = arm.weights if weights is None else np.array(weights, dtype=float)
         valid = np.isfinite(self._weights) & (self._weights > 0)
         if self._weights.shape != arm.weights.shape or not valid.all():
             raise GoalError(f"weights: {len(arm.actuators)} positive numbers are needed, one an actuator")
@@ -134,8 +134,8 @@ class Solver:
         start: Start = None,
         *,
         method: Method = MINIMUM_SWITCH,
-        deadline: float = GOAL_DEADLINE,
-        effort: float | None = None,
+        deadline: Number = GOAL_DEADLINE,
+        effort: Number | None = None,
     ) -> Solution:
         """Returns a configuration for a goal. If the goal is out of reach, returns the nearest configuration found.
 
@@ -158,12 +158,12 @@ class Solver:
 
     def solve_many(
         self,
-        goals: Sequence[Goal | ArrayLike],
+        goals: Sequence[Goal | ArrayLike] | NDArray[Any],
         start: Start = None,
         *,
         method: Method = MINIMUM_SWITCH,
-        deadline: float = GOAL_DEADLINE,
-        effort: float | None = None,
+        deadline: Number = GOAL_DEADLINE,
+        effort: Number | None = None,
     ) -> list[Solution]:
         """Returns a configuration for each goal, all from the same start, in the order of the goals.
 
@@ -199,13 +199,13 @@ class Solver:
 
     def follow(
         self,
-        goals: Sequence[Goal | ArrayLike],
+        goals: Sequence[Goal | ArrayLike] | NDArray[Any],
         start: Start = None,
         *,
-        path_tolerance: float | None = None,
+        path_tolerance: Number | None = None,
         method: Method = MINIMUM_SWITCH,
-        deadline: float | None = None,
-        path_deadline: float = PATH_DEADLINE,
+        deadline: Number | None = None,
+        path_deadline: Number = PATH_DEADLINE,
         prove: bool = False,
     ) -> Path:
         """Returns a path through goals.
@@ -229,15 +229,16 @@ class Solver:
             ConfigurationError: the start is no configuration of the arm.
             PathError: a goal is out of reach, or an obstacle blocks the path.
         """
-        point = GOAL_DEADLINE if deadline is None or prove else deadline
-        whole = (PROOF_TIME if deadline is None else deadline) if prove else path_deadline
+        point = GOAL_DEADLINE if deadline is None or prove else float(deadline)
+        whole = (PROOF_TIME if deadline is None else float(deadline)) if prove else float(path_deadline)
         check_search(method, deadline=point, path_deadline=whole)
         if not 1 <= len(goals) <= MOST_POINTS:
             raise GoalError(f"1 to {MOST_POINTS} goals are needed, got {len(goals)}")
         asked = [self._with_tolerances(goal) for goal in goals]
         before, pace = self._start(start), pace_of(self.arm._arm.settings)
+        line = None if path_tolerance is None else float(path_tolerance)
         try:
-            trajectory = unhurried(self._goals(asked, path_tolerance), pace, path_tolerance)
+            trajectory = unhurried(self._goals(asked, line), pace, line)
             planner = TransitionPlanner(self._search, trajectory, pace)
             first = search.search_time(point * len(trajectory.times))
             means = proof_means() if prove else Means()
@@ -246,6 +247,8 @@ class Solver:
             raise PathError(str(refusal)) from None
         solutions = tuple(self._whole(solution) for solution in found.solutions)
         own = tuple(one.goal for one in asked)
+        for array in (trajectory.positions, trajectory.waypoints):
+            array.flags.writeable = False
         return Path(own, trajectory.positions, solutions, trajectory.waypoints, found.certificate, found.bound)
 
     def contact(self, configuration: ArrayLike | str) -> str | None:
@@ -306,10 +309,11 @@ class Solver:
 
     def _whole(self, found: Solution) -> Solution:
         """Returns a solution with its configuration in the numbering of the whole arm."""
+        found.tip.flags.writeable = False
         return replace(found, configuration=self.arm._to_whole(found.configuration))
 
 
-def checked_time(method: str, deadline: float, effort: float | None) -> SearchTime:
+def checked_time(method: str, deadline: Number, effort: Number | None) -> SearchTime:
     """Returns the time of the search for one goal, or its work if an effort is given.
 
     Raises:
@@ -317,14 +321,14 @@ def checked_time(method: str, deadline: float, effort: float | None) -> SearchTi
     """
     if effort is None:
         check_search(method, deadline=deadline)
-        return search.search_time(deadline)
+        return search.search_time(float(deadline))
     check_search(method)
     if not 0 < effort < math.inf:
         raise GoalError(f"effort: a positive number is needed, got {effort!r}")
-    return search.search_effort(effort)
+    return search.search_effort(float(effort))
 
 
-def check_search(method: str, **deadlines: float) -> None:
+def check_search(method: str, **deadlines: Number) -> None:
     """Checks the method and the deadlines of a search, by the names of the arguments.
 
     Raises:

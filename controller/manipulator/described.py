@@ -1,4 +1,4 @@
-"""The chain of modules in a daemon's description of its arm, for programs that do not read the arm's file."""
+"""The chain of modules from a daemon's description of its arm, for programs that do not read the arm's file."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,8 +12,7 @@ from hyperbit.controller.manipulator.module import Module
 def described(answer: Mapping[str, Any]) -> Manipulator:
     """Returns the chain of an arm from the payload of the answer to `arm`, with its `drawing`.
 
-    Raises:
-        LookupError, TypeError, ValueError: the answer has another form, as that of another version.
+    Raises LookupError, TypeError or ValueError if the answer has another form, as that of another version.
     """
     kinds, planar = answer["drawing"]["kinds"], answer["dimension"] == 2
     names: list[list[str]] = [[] for _ in answer["frames"]]

@@ -69,9 +69,9 @@ def truss_rates(first: Array, diagonal: Array, second: Array, width: float) -> A
 
     Args:
         first: least and greatest length of the leg to the first apex, shape (2,).
-        diagonal: least and greatest length of the diagonal, shape (2,).
+        diagonal: least and greatest length, shape (2,).
         second: least and greatest length of the leg to the second apex, shape (2,).
-        width: width of base and top.
+        width: of base and top.
     """
     lower = max(abs(f * f + m * m - width**2) / (2 * f * m) for f, m in product(first, diagonal))
     upper = max(abs(width**2 + s * s - m * m) / (2 * width * s) for s, m in product(second, diagonal))

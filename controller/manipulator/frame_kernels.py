@@ -1,4 +1,4 @@
-"""Kernels on frames. They are apart from `frames`, so that what needs no kernel does not import numba."""
+"""Kernels on frames. They are apart from `frames`, so that programs without kernels do not import numba."""
 
 from numba import njit
 

@@ -1,6 +1,6 @@
 """Types of the arguments of kernels: C-contiguous arrays, and NamedTuples of arrays; options of kernels.
 
-F2 is float64 with two dimensions, I1 is int64 with one, S1 is int32 with one. Signatures are made of them, so that
+F2 is float64 with two dimensions, I1 is int64 with one, S1 is int32 with one. Signatures consist of them, so that
 nothing is compiled while the arm moves.
 """
 

@@ -26,20 +26,12 @@ def none_locked(manipulator: Manipulator) -> LockedStates:
 
 
 def require_states(manipulator: Manipulator, locked: LockedStates) -> None:
-    """Checks that locked states (A,) leave each module a state.
-
-    Raises:
-        ValueError: the shape is wrong, or a module has no state with its actuators locked so.
-    """
+    """Raises ValueError unless locked states (A,) have the right shape and leave each module a state."""
     permitted_states(manipulator, locked)
 
 
 def permitted_states(manipulator: Manipulator, locked: LockedStates) -> list[NDArray[np.bool_]]:
-    """Returns for each module which of its states locked states (A,) permit, shape (K,) each.
-
-    Raises:
-        ValueError: see require_states.
-    """
+    """Returns which states of each module locked states (A,) permit, shape (K,) each. See require_states."""
     if locked.shape != (len(manipulator.actuators),):
         raise ValueError(
             f"the arm has {len(manipulator.actuators)} actuators, got locked states of shape {locked.shape}"
@@ -58,11 +50,7 @@ def permitted_states(manipulator: Manipulator, locked: LockedStates) -> list[NDA
 
 
 def lock_actuators(manipulator: Manipulator, locked: LockedStates) -> Manipulator:
-    """Returns the reduced arm, or the arm itself if no actuator is locked.
-
-    Raises:
-        ValueError: see require_states.
-    """
+    """Returns the reduced arm, or the arm itself if no actuator is locked. Raises the errors of require_states."""
     permitted, modules = permitted_states(manipulator, locked), []
     if (locked < 0).all():
         return manipulator
@@ -73,11 +61,7 @@ def lock_actuators(manipulator: Manipulator, locked: LockedStates) -> Manipulato
 
 
 def transferred(configuration: Configuration, source: Manipulator, target: Manipulator) -> Configuration:
-    """Returns a configuration (B,) of one arm as a configuration of another with other locked actuators.
-
-    Raises:
-        ValueError: the target has no configuration with these actuator states.
-    """
+    """Returns a configuration (B,) of one arm as one of another with other locks. Raises ValueError if none."""
     if source is target:
         return configuration
     return target.configuration(source.actuator_states(configuration))

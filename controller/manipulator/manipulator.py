@@ -28,11 +28,7 @@ class Manipulator:
     """
 
     def __init__(self, modules: Sequence[Module], base: Frame | None = None) -> None:
-        """Builds the padded arrays.
-
-        Raises:
-            ValueError: there is no module.
-        """
+        """Builds the padded arrays. Raises ValueError if there is no module."""
         if not modules:
             raise ValueError("a manipulator needs at least one module, got none")
         self.modules = tuple(modules)
@@ -50,7 +46,6 @@ class Manipulator:
 
     @property
     def dimension(self) -> int:
-        """2 for a planar arm, 3 for a spatial one."""
         return 2 if self.planar else 3
 
     @cached_property
@@ -66,11 +61,11 @@ class Manipulator:
 
     def tips(self, configurations: ArrayLike) -> Frame:
         """Returns the tip frames (n, 4, 4) of configurations (n, B)."""
-        return np.asarray(tips(self.base, self.frames, np.ascontiguousarray(configurations, dtype=np.int64)))
+        return np.asarray(tips(self.base, self.frames, np.require(configurations, np.int64, ("C", "W"))))
 
     def tip(self, configuration: ArrayLike) -> Frame:
         """Returns the tip frame (4, 4) of one configuration (B,)."""
-        return np.asarray(tip(self.base, self.frames, np.asarray(configuration, dtype=np.int64)))
+        return np.asarray(tip(self.base, self.frames, np.require(configuration, np.int64, ("C", "W"))))
 
     def chain(self, configuration: ArrayLike) -> Frame:
         """Returns the frames F_0 to F_B (B+1, 4, 4) of one configuration (B,)."""
@@ -94,11 +89,7 @@ class Manipulator:
         return np.asarray(self.bits[self._rows, np.asarray(configuration)][..., self._filled])
 
     def configuration(self, actuator_states: ArrayLike) -> Configuration:
-        """Returns the configuration (B,) of actuator states (A,).
-
-        Raises:
-            ValueError: the number of states is wrong, or a module has no configuration with its states.
-        """
+        """Returns the configuration (B,) of actuator states (A,). Raises ValueError if there is none."""
         states = np.asarray(actuator_states)
         if states.shape != (len(self.actuators),):
             raise ValueError(f"the arm has {len(self.actuators)} actuator states, got an array of shape {states.shape}")
@@ -126,7 +117,6 @@ class Manipulator:
 
     @cached_property
     def _rows(self) -> NDArray[np.int64]:
-        """Numbers of the modules, shape (B,)."""
         return np.arange(len(self.modules))
 
     @cached_property
@@ -136,14 +126,14 @@ class Manipulator:
 
     @cached_property
     def _codes(self) -> list[dict[bytes, int]]:
-        """For each module, its first state for each code: actuator states as bytes of int64."""
+        """For each module: its first state by code. A code is the actuator states as bytes of int64."""
         every = [module.bits.astype(np.int64) for module in self.modules]
         return [{code.tobytes(): k for k, code in reversed(list(enumerate(codes)))} for codes in every]
 
 
 def excluded(module: Module, states: NDArray[np.generic]) -> str:
     """Returns in words the actuator states (A,) that no state of a module has, such as "left is extended"."""
-    alone = [not (module.bits[:, k] == state).any() for k, state in enumerate(states)]  # because it is locked otherwise
+    alone = [not (module.bits[:, k] == state).any() for k, state in enumerate(states)]  # no state has it: it is locked
     named = zip(module.actuators, states, alone, strict=True)
     return " and ".join(f"{name} is {STATES[bool(state)]}" for name, state, odd in named if odd or not any(alone))
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,7 +38,6 @@ class Module:
 
     @property
     def proven(self) -> bool:
-        """Whether the bounds in mid-travel are proven."""
         return self.rates is not None or self.motion is None
 
     def bounds(self, fixed: Array, moving: NDArray[np.int64]) -> Array:
@@ -113,6 +113,39 @@ def lines(stack: Frame) -> Array:
     body = np.zeros((len(stack), 1, 2, 3))
     body[:, 0, 1] = stack[:, :3, 3]
     return body
+
+
+def tipped(module: Module, tip: Frame) -> Module:
+    """Returns a module whose frames are at the tip of a tool, `tip` (4, 4) in the module's own frames.
+
+    The body has the tool, too: a line from the module's frame to the tip.
+    """
+    frames, body = with_tool(module.frames, module.body, tip)
+    flat = module.planar and bool(np.allclose(tip[2], [0, 0, 1, 0]))
+    rates = partial(tool_rates, module, tip) if module.proven else None
+    return Module(frames, module.bits, module.actuators, body, flat, partial(tool_motion, module, tip), rates)
+
+
+def with_tool(frames: Frame, body: Array, tip: Frame) -> tuple[Frame, Array]:
+    """Returns frames (n, 4, 4) at the tip of a tool, and bodies (n, L + 1, 2, 3) with the tool."""
+    tips = frames @ tip
+    tool = np.stack([frames[:, :3, 3], tips[:, :3, 3]], axis=1)
+    return tips, np.concatenate([body, tool[:, None]], axis=1)
+
+
+def tool_motion(module: Module, tip: Frame, displacements: Array) -> tuple[Frame, Array]:
+    """Returns frames and bodies of a module with a tool in mid-travel, see Module.motion."""
+    return with_tool(*module.between(displacements), tip)
+
+
+def tool_rates(module: Module, tip: Frame, fixed: Array, moving: NDArray[np.int64]) -> Array:
+    """Returns proven bounds of a module with a tool, see Module.rates.
+
+    At a distance d from the frame, the tip moves by at most d times the rotation more than the frame.
+    """
+    move, turn, body = module.bounds(fixed, moving).T
+    there = move + turn * np.linalg.norm(tip[:3, 3])
+    return np.column_stack([there, turn, np.maximum(body, there)])
 
 
 def transforms(frames: ArrayLike, *, planar: bool) -> Module:

@@ -18,11 +18,7 @@ if TYPE_CHECKING:  # its kernel takes a second to import
 
 
 def parse_configuration(manipulator: Manipulator, text: str) -> Configuration:
-    """Returns the configuration (B,) of a text.
-
-    Raises:
-        ValueError: a character, the number of modules, or a state is wrong.
-    """
+    """Returns the configuration (B,) of a text. Raises ValueError if the text does not match the arm."""
     digits = "," not in text and manipulator.states.max() <= 10
     parts = list(text.strip()) if digits else text.strip().split(",")
     try:

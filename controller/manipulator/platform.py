@@ -62,11 +62,7 @@ class Legs:
     def solve_pose(self, frame: Frame, lengths: Array, steps: int, longest: float = np.inf) -> Frame | None:
         """Returns the pose (4, 4) for lengths (L,) by Newton's method, or None if it does not converge.
 
-        Args:
-            frame: first guess, shape (4, 4).
-            lengths: lengths of the legs, shape (L,).
-            steps: most steps.
-            longest: give up if the first step is longer.
+        `frame` (4, 4) is the first guess. The method gives up after `steps`, or if the first step is above `longest`.
         """
         for step in range(steps):
             missed, change = self.misfit(frame, lengths)
@@ -109,8 +105,7 @@ class Legs:
     def middle(self) -> Frame:
         """Returns the pose (4, 4) with all legs in the middle of their travel and the plate upright over the base.
 
-        Raises:
-            ValueError: there is no such pose, or the plate is loose in it.
+        Raises ValueError if there is no such pose, or the plate is loose in it.
         """
         up = 1 if len(self.free) == 3 else 2
         shift = self.base.mean(axis=0) - self.top.mean(axis=0)
@@ -131,8 +126,7 @@ class Legs:
     def continued(self, frame: Frame, lengths: Array) -> Frame:
         """Returns the pose (4, 4) for lengths (L,) by continuation from the middle pose (4, 4).
 
-        Raises:
-            ValueError: there is no such pose, or the plate is loose on the way.
+        Raises ValueError if there is no such pose, or the plate is loose on the way.
         """
         side = self.stiffness(frame)[1]
         done, step = 0.0, FIRST_STEP
@@ -197,8 +191,7 @@ def platform_motion(
 def legs_of(base: ArrayLike, top: ArrayLike, size: float) -> Legs:
     """Returns the geometry of a platform from its joints, in units of `size`.
 
-    Raises:
-        ValueError: the shapes are not those of a platform, or a leg of a 3-RPS has no plane.
+    Raises ValueError if the shapes are not those of a platform, or a leg of a 3-RPS has no plane.
     """
     shape: tuple[int, ...] = np.shape(base)
     if shape not in ((6, 3), (3, 3), (3, 2)) or np.shape(top) != shape:

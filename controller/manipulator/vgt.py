@@ -45,18 +45,13 @@ class Truss:
     def assemble(self, lengths: Iterable[tuple[float, float, float]]) -> tuple[Frame, Array]:
         """Returns frames (n, 4, 4) and bodies (n, L, 2, 3) for lengths of left leg, diagonal and right leg.
 
-        Raises:
-            ValueError: the two triangles of a state do not close.
+        Raises ValueError if the two triangles of a state do not close.
         """
         states = [self.assemble_state(*three) for three in lengths]
         return np.array([frame for frame, _ in states]), np.array([body for _, body in states])
 
     def assemble_state(self, ac: float, across: float, bd: float) -> tuple[Frame, Array]:
-        """Returns the frame (4, 4) and body (L, 2, 3) for the lengths of left leg, diagonal and right leg.
-
-        Raises:
-            ValueError: the two triangles do not close.
-        """
+        """Returns the frame (4, 4) and body (L, 2, 3) for lengths of left leg, diagonal and right leg."""
         width = self.width
         a, b = np.array([-width / 2, 0.0]), np.array([width / 2, 0.0])
         try:
@@ -92,11 +87,7 @@ def vgt(
 
 
 def apex(p: Point, q: Point, from_p: float, from_q: float) -> Point:
-    """Returns the apex (2,) to the left of the base p -> q, at the given distances from p and q.
-
-    Raises:
-        ValueError: the triangle does not close.
-    """
+    """Returns the apex (2,) to the left of p -> q, from its distances. Raises ValueError if there is none."""
     along = q - p
     base = math.hypot(*along)
     foot = (base**2 + from_p**2 - from_q**2) / (2 * base)

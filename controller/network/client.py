@@ -31,13 +31,8 @@ class Client:
     """A client of one arm's daemon.
 
     A request without any reply is repeated, because Zenoh's routes may be stale. Each request has a number, so that the
-    daemon does not run a goal twice.
-
-    Args:
-        session: open session; a client of the daemon's.
-        arm: name of the arm.
-        reopen: opens a new session for the last attempt; None: all attempts use `session`.
-        prefix: of all keys.
+    daemon does not run a goal twice. `reopen` opens a new session for the last attempt; None: all attempts use
+    `session`. `prefix` is that of all keys.
     """
 
     def __init__(
@@ -69,8 +64,6 @@ class Client:
         """Returns the daemon's answer on `key`, such as goal, stop, plan or arm.
 
         Args:
-            key: of the request.
-            payload: of the request.
             timeout: longest time to wait [s].
             sending: entered while an attempt is sent; an exception from it ends the request.
 
@@ -101,7 +94,7 @@ class Client:
             for reply in replies:
                 if reply.ok is not None:
                     return decoded(reply.ok)
-                late = True  # a reply without an answer: the time is over, but the request was received
+                late = True  # an empty reply: the time is over, but the request was received
             if late:
                 break
         if self.alive():
@@ -126,11 +119,7 @@ class Client:
         return self._session.declare_subscriber(f"{self._prefix}/{key}", lambda sample: callback(decoded(sample)))
 
     def next_message(self, key: str, timeout: float = 10.0) -> Message:
-        """Returns the next message on `key`.
-
-        Raises:
-            Unanswered: no message came within `timeout` [s].
-        """
+        """Returns the next message on `key`. Raises Unanswered if no message came within `timeout` [s]."""
         news: queue.SimpleQueue[Message] = queue.SimpleQueue()
         subscriber = self.subscribe(key, news.put)
         try:
@@ -189,7 +178,7 @@ class Client:
             while True:
                 kind, message = news.get(timeout=max(until - time.monotonic(), 0.0))
                 if name not in (message.get("id"), message.get("goal")):
-                    continue  # of another goal, or of a daemon that was restarted and does not know this goal
+                    continue  # of another goal, or of a restarted daemon that does not know this goal
                 until = time.monotonic() + silence
                 if kind == "result":
                     return message
@@ -202,7 +191,6 @@ class Client:
             subscribers[0].undeclare()  # type: ignore[no-untyped-call]
 
     def _renew(self) -> None:
-        """Replaces the session by a new one."""
         if self._reopen is None:
             return
         with contextlib.suppress(zenoh.ZError):  # if that fails, the old session stays
@@ -221,6 +209,5 @@ def answer_timeout(payload: Mapping[str, Any]) -> float:
 
 
 def decoded(sample: zenoh.Sample) -> Message:
-    """Returns a sample's JSON object."""
     message: Message = json.loads(sample.payload.to_bytes())
     return message

@@ -1,4 +1,4 @@
-"""The arms of a network, also below namespaces: which are alive, what state they publish, and who drives them.
+"""The arms of a network, also below namespaces: their liveliness, their states, and their daemons.
 
 A Zenoh namespace prefixes all keys of a session. The arm `left` of a cell with the namespace `cell1` has the keys
 `cell1/hyperbit/left/*` for a session without a namespace.
@@ -19,15 +19,15 @@ PLACES = (OWN, BELOW)
 
 OLD = 1.5  # [s] without a state, after which the state counts as old
 MOST_ARMS = 1000  # further arms are ignored
-GONE_KEPT = 600.0  # [s] for which an arm that is gone is kept
-TOKEN_TIMEOUT = 1.0  # [s] for an answer on which tokens there are
-LIST_TIMEOUT = 10.0  # [s] for the same answer, if nothing can be done without it
-DESCRIPTION_TIMEOUT = 2.0  # [s] for an arm's answer on `arm`; it is asked again afterwards
+GONE_KEPT = 600.0  # [s] for which a gone arm is kept
+TOKEN_TIMEOUT = 1.0  # [s] for the list of tokens
+LIST_TIMEOUT = 10.0  # [s] for the list of tokens, if the caller needs it
+DESCRIPTION_TIMEOUT = 2.0  # [s] for an arm's answer on `arm`; then it is asked again
 POLL = 0.01  # [s]
 
 
 class ArmAddress(NamedTuple):
-    """Where an arm is: `namespace` is empty for an arm in the namespace of the session."""
+    """The address of an arm; `namespace` is empty for an arm in the namespace of the session."""
 
     namespace: str
     name: str
@@ -42,26 +42,16 @@ class ArmAddress(NamedTuple):
 
 
 class ArmStatus(NamedTuple):
-    """What is known of one arm.
-
-    Attributes:
-        address: where the arm is.
-        gone_at: time at which its liveliness token disappeared, UNIX seconds; None while it is alive.
-        state: fields `mode`, `reason`, `simulated`, `goal` and `faults` of the latest state; None if none came, or if
-            it cannot be read.
-        age: time since the arrival of the latest state [s]; None if none came.
-        host: computer of its daemon; None until the daemon has answered.
-        version: hyperbit's version there; None until the daemon has answered.
-        is_new: whether state, host or version are missing because the arm appeared a moment ago.
-    """
+    """The last news of one arm."""
 
     address: ArmAddress
-    gone_at: float | None
+    gone_at: float | None  # time at which its liveliness token disappeared [UNIX s]; None while it is alive
+    # fields `mode`, `reason`, `simulated`, `goal` and `faults` of the latest; None if none came, or it is unreadable
     state: dict[str, Any] | None
-    age: float | None
-    host: str | None
-    version: str | None
-    is_new: bool
+    age: float | None  # time since the arrival of the latest state [s]
+    host: str | None  # computer of its daemon; None until the daemon has answered
+    version: str | None  # of hyperbit there; None until the daemon has answered
+    is_new: bool  # state, host or version are missing because the arm has just appeared
 
     @property
     def is_old(self) -> bool:
@@ -70,8 +60,6 @@ class ArmStatus(NamedTuple):
 
 
 class FaultEntry(msgspec.Struct):
-    """A fault in a state."""
-
     code: str
     message: str
     source: str = ""
@@ -102,8 +90,6 @@ class Description(msgspec.Struct):
 
 @dataclass
 class Presence:
-    """The liveliness of one arm, and its daemon's description."""
-
     gone_at: float | None = None  # UNIX [s]
     changed_at: float = 0.0  # time of the last token, or of its end, monotonic [s]
     description: Description | None = None
@@ -113,10 +99,10 @@ class Presence:
 class Fleet:
     """Follows all arms by two subscriptions to states and two to tokens, however many arms there are.
 
-    Zenoh's threads only store what arrives. Another thread calls the methods.
+    Zenoh's threads only store messages. Another thread calls the methods.
 
     Args:
-        session: open session; without a namespace it finds the arms of all namespaces.
+        session: without a namespace it finds the arms of all namespaces.
         listed: arms that `alive` found. Call `alive` before this: until a new subscription to tokens has its history,
             Zenoh answers a query for tokens with the part of the history that has come.
     """
@@ -134,16 +120,13 @@ class Fleet:
             self._set_alive(address)
 
     def close(self) -> None:
-        """Ends the subscriptions."""
         while self._declared:
             self._declared.pop().undeclare()  # type: ignore[no-untyped-call]
 
     def wait_for_states(self, timeout: float, *, described: bool = False) -> list[ArmStatus]:
-        """Returns all arms as soon as each that is known and alive has sent its state, or after `timeout` [s].
+        """Returns all arms as soon as each known, alive arm has sent its state, or after `timeout` [s].
 
-        Args:
-            timeout: longest wait for states [s].
-            described: also wait for host and version of each arm.
+        If `described`, it also waits for host and version of each arm.
         """
         until = time.monotonic() + timeout
         while True:
@@ -159,7 +142,7 @@ class Fleet:
             time.sleep(POLL)
 
     def ask(self) -> None:
-        """Asks each arm that is alive and has not described itself, at most once in DESCRIPTION_TIMEOUT."""
+        """Requests the description of each alive arm without one, at most once in DESCRIPTION_TIMEOUT."""
         now = time.monotonic()
         with self._lock:
             wanted = [
@@ -225,7 +208,7 @@ class Fleet:
                 arm.description = about
 
     def _set_alive(self, address: ArmAddress) -> None:
-        """Notes that an arm is alive. The daemon of an arm that was gone may be another one."""
+        """Records that an arm is alive. An arm that was gone may have another daemon now."""
         with self._lock:
             arm = self._arms.get(address)
             if (arm is None and len(self._arms) < MOST_ARMS) or (arm is not None and arm.gone_at is not None):
@@ -235,10 +218,7 @@ class Fleet:
 def alive(session: zenoh.Session, places: Iterable[str] = PLACES, timeout: float = TOKEN_TIMEOUT) -> list[ArmAddress]:
     """Returns the arms whose liveliness tokens exist, sorted; none if this client may not ask.
 
-    Args:
-        session: open session.
-        places: key expressions of arms, such as "hyperbit/*".
-        timeout: longest wait for the answer [s].
+    `places` are key expressions of arms, such as "hyperbit/*"; `timeout` is the longest wait for the answer [s].
     """
     asked = [session.liveliness().get(f"{place}/alive", timeout=timeout) for place in places]
     tokens = (reply.ok for replies in asked for reply in replies if reply.ok is not None)

@@ -13,26 +13,15 @@ PARTS = b'{"with": ["drawing", "file"]}'
 
 
 class ReceivedMessage(NamedTuple):
-    """A received message.
+    """A received message."""
 
-    Attributes:
-        at: time of arrival, CLOCK_MONOTONIC [ns].
-        key: part after "hyperbit/<arm>/"; "alive" and "gone" for the liveliness token, "arm" for the daemon's answer.
-        data: payload.
-    """
-
-    at: int
-    key: str
+    at: int  # time of arrival, CLOCK_MONOTONIC [ns]
+    key: str  # after "hyperbit/<arm>/"; "alive" and "gone" for the liveliness token, "arm" for the daemon's answer
     data: bytes
 
 
 class Listener:
-    """Subscribes to all keys of one arm. Callbacks only queue messages, so that Zenoh never waits for the reader.
-
-    Args:
-        session: open session.
-        arm: name of the arm.
-    """
+    """Subscribes to all keys of one arm. Callbacks only queue messages, so that Zenoh never waits for the reader."""
 
     def __init__(self, session: zenoh.Session, arm: str) -> None:
         self._session, self._prefix = session, f"hyperbit/{arm}"
@@ -45,7 +34,6 @@ class Listener:
         ]
 
     def close(self) -> None:
-        """Ends the subscriptions."""
         while self._declared:
             self._declared.pop().undeclare()  # type: ignore[no-untyped-call]
 

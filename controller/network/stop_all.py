@@ -1,4 +1,4 @@
-"""Stops all arms of a network, and tells which have answered."""
+"""Stops all arms of a network, and reports which have answered."""
 
 import itertools
 import queue
@@ -11,25 +11,18 @@ import zenoh
 from hyperbit.controller.network.client import Message
 from hyperbit.controller.network.fleet import PLACES, ArmAddress, address_of, alive
 
-FIRST_WAIT, LONGEST_WAIT = 0.1, 1.0  # [s] for answers, before the arms that are silent are asked again
-ROUNDS = 2  # at least: the second finds arms that started during the first
-TIMEOUT = 5.0  # [s] until an arm that is alive counts as silent; a daemon answers within some hundredths of a second
+FIRST_WAIT, LONGEST_WAIT = 0.1, 1.0  # [s] until silent arms are asked again
+ROUNDS = 2  # least number: the second round finds arms that started during the first
+TIMEOUT = 5.0  # [s] until a live arm counts as silent; a daemon answers within hundredths of a second
 
 
 class StopReport(NamedTuple):
-    """What became of a stop for all arms.
-
-    Attributes:
-        answers: answer of each arm; an arm that accepts answers when nothing can switch any more.
-        silent: arms that are alive and did not answer.
-    """
-
-    answers: dict[ArmAddress, Message]
-    silent: list[ArmAddress]
+    answers: dict[ArmAddress, Message]  # an arm that accepts answers when nothing can switch any more
+    silent: list[ArmAddress]  # arms that are alive and did not answer
 
     @property
     def complete(self) -> bool:
-        """Whether an arm is there, and all that are there have stopped."""
+        """Whether at least one arm was found, and all arms have stopped."""
         return bool(self.answers) and not self.silent and all(it["accepted"] for it in self.answers.values())
 
 
@@ -41,9 +34,8 @@ def stop_all(session: zenoh.Session, places: tuple[str, ...] = PLACES, timeout: 
     Therefore each arm whose token exists, and that has not answered, is asked by its name.
 
     Args:
-        session: open session.
         places: key expressions of arms, such as "hyperbit/*".
-        timeout: time after which an arm that does not answer counts as silent [s].
+        timeout: an arm without an answer after this time counts as silent [s].
     """
     replies: queue.SimpleQueue[zenoh.Reply] = queue.SimpleQueue()
     answers: dict[ArmAddress, Message] = {}
@@ -68,7 +60,7 @@ def stop_all(session: zenoh.Session, places: tuple[str, ...] = PLACES, timeout: 
 
 
 def note(reply: zenoh.Reply, answers: dict[ArmAddress, Message]) -> None:
-    """Adds an arm's answer to `answers`; ignores what is no answer of an arm."""
+    """Adds an arm's answer to `answers`; ignores other replies."""
     if reply.ok is None or (address := address_of(str(reply.ok.key_expr))) is None:
         return
     try:

@@ -8,7 +8,7 @@ from hyperbit.controller.obstacles.collision import ArmBodies, first_collisions
 from hyperbit.controller.obstacles.distance import Array, Index, Surroundings
 from hyperbit.controller.obstacles.obstacles import Obstacles
 
-# Share of the arm's length that covers rounding: bodies that come so near count as touching. The crossing of two nearly
+# Share of the arm's length that covers rounding: bodies at this distance count as touching. The crossing of two nearly
 # parallel lines has half of the digits only.
 ROUNDING = 1e-7
 
@@ -17,8 +17,6 @@ class BodyClearance:
     """The bodies of an arm among obstacles. A body is a module's line segments, thickened by a radius.
 
     Attributes:
-        manipulator: the arm.
-        obstacles: no body may touch them.
         radius: radius of the bodies, as in the arm's file.
         margin: the radius, increased by the rounding error; kernels compare with it.
         self_collision: whether modules that are not neighbours must not touch each other.
@@ -26,8 +24,7 @@ class BodyClearance:
         bodies: line segments of each module's states, padded with 0, shape (B, Kmax, Lmax, 2, 3).
         balls: centre and radius of a ball around each body, shape (B, Kmax, 4).
         lines: number of line segments of each module, shape (B,).
-        arm_bodies: frames and bodies for kernels.
-        surroundings: obstacles for kernels.
+        arm_bodies, surroundings: the arm and the obstacles, for kernels.
     """
 
     def __init__(
@@ -97,7 +94,7 @@ class BodyClearance:
 
 def balls(bodies: Array) -> Array:
     """Returns centre and radius (..., 4) of balls around line segments (..., L, 2, 3)."""
-    ends = bodies.reshape(*bodies.shape[:-3], -1, 3)
+    ends = bodies.reshape(*bodies.shape[:-3], 2 * bodies.shape[-3], 3)
     middle = (ends.min(axis=-2) + ends.max(axis=-2)) / 2
     radius = np.linalg.norm(ends - middle[..., None, :], axis=-1).max(axis=-1)
     return np.concatenate([middle, radius[..., None]], axis=-1)

@@ -64,13 +64,9 @@ def lines_distance(first: Array, second: Array) -> float:
 
 @njit(int64(WORLD_BODIES, I1, int64, float64), **UNCOUNTED)
 def first_module(world: WorldBodies, lines: Index, i: int, apart: float) -> int:
-    """Returns the first module at most `apart` away from module i, without its neighbours; -1 if there is none.
+    """Returns the first module below module i that is at most `apart` away, without its neighbour; -1 for none.
 
-    Args:
-        world: bodies of modules up to i.
-        lines: number of line segments of each module, shape (B,).
-        i: the module; only modules below it are compared.
-        apart: distance that counts as touching.
+    `world` has the bodies of modules up to i, `lines` (B,) the number of line segments of each module.
     """
     ends, balls = world.ends, world.balls
     for j in range(i - 1):
@@ -92,16 +88,8 @@ def first_touch(
 ) -> tuple[int, int]:
     """Returns the first obstacle that a module touches, otherwise the first module below; -1 for none.
 
-    With self-collision, call in order, base to tip.
-
-    Args:
-        arm: frames and bodies.
-        surroundings: what the module must not touch.
-        i: the module.
-        state: its state.
-        r: rotation of the frame below the module in the world, shape (3, 3).
-        b: position of this frame, shape (3,).
-        world: the module's body is written, those of the modules below are read.
+    With self-collision, call in order, base to tip. The module is in `state`, on a frame with rotation `r` (3, 3) and
+    position `b` (3,) in the world. The kernel writes its body to `world`, and reads those of the modules below.
     """
     body, ball = arm.bodies[i, state, : arm.lines[i]], arm.balls[i, state]
     obstacle = first_obstacle(r, b, body, ball, surroundings, surroundings.margin)
@@ -120,16 +108,10 @@ def first_touch(
 def first_collisions(
     base_r: Array, base_b: Array, arm: ArmBodies, surroundings: Surroundings, configurations: Index
 ) -> Index:
-    """Returns the first collision of each configuration, shape (n, 3).
+    """Returns the first collision of each configuration (n, B), shape (n, 3).
 
-    A row has the module, the obstacle that it touches, and the other module that it touches; -1 for none.
-
-    Args:
-        base_r: rotation of frame F_0 in the world, shape (3, 3).
-        base_b: position of frame F_0 in the world, shape (3,).
-        arm: frames and bodies.
-        surroundings: what the arm must not touch.
-        configurations: shape (n, B).
+    A row has the module, the obstacle that it touches, and the other module that it touches; -1 for none. Frame F_0 has
+    rotation `base_r` (3, 3) and position `base_b` (3,) in the world.
     """
     n, modules = configurations.shape
     result = np.full((n, 3), -1)

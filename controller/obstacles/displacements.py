@@ -10,14 +10,14 @@ from hyperbit.controller.manipulator.frames import Frame
 from hyperbit.controller.manipulator.module import Module
 from hyperbit.controller.obstacles.distance import Array, Index
 
-FINE, COARSE = 5, 3  # samples of each displacement of a platform, if up to three actuators move, and if more do
+FINE, COARSE = 5, 3  # samples per displacement of a platform: up to three moving actuators; more
 ROUNDING = 1e-9  # relative rounding error of a bound
 MOST = 6  # actuators of one module that move at once; more have no bound
 CAPACITY = 50_000  # cached displacements
 
 
 class Displacements:
-    """Frames and bodies of one module at displacements of its actuators, cached. Safe to call from any thread."""
+    """Frames and bodies of one module at displacements of its actuators, cached. Thread-safe."""
 
     def __init__(self, module: Module) -> None:
         self._module, self._lock = module, threading.Lock()
@@ -50,13 +50,13 @@ class Displacements:
         self._rows.update(zip(fresh, range(used, used + len(fresh)), strict=True))
 
     def rates(self, states: Array, moving: Index) -> Array:
-        """Returns bounds on what each displacement does, shape (k, 3).
+        """Returns the greatest rates of each displacement, shape (k, 3).
 
-        The columns are the translation of the frame above, its rotation, and the movement of the body's points. All
-        are for a displacement from 0 to 1. The rotation is the chord at unit distance. The bounds are proven if
+        The columns are the translation of the frame above, its rotation, and the movement of the body's points. All are
+        for a displacement from 0 to 1. The rotation is the chord at unit distance. The bounds are proven if
         `Module.proven`. Otherwise, for platforms, they are sampled: the greatest rate of the samples, plus half of its
-        change from one sample to the next in every direction. The states (A,) of the `moving` actuators (k,) do not
-        count.
+        change from one sample to the next in every direction. The states (A,) of the `moving` actuators (k,) have no
+        effect.
         """
         fixed = states.copy()
         fixed[moving] = 0.0
@@ -95,5 +95,4 @@ def rate(values: Array, axis: int) -> float:
 
 @lru_cache(maxsize=64)
 def displacements_of(module: Module) -> Displacements:
-    """Returns the cached displacements of a module."""
     return Displacements(module)

@@ -84,7 +84,7 @@ def nearest_to_box(half: Array, start: tuple[float, ...], way: tuple[float, ...]
                         high, rising = t, at
                     else:
                         low, falling = t, at
-    # Between these places the segment crosses no face, so the slope is linear.
+    # Between these places the segment crosses no face, so the slope is linear there.
     return float(low - (high - low) * falling / (rising - falling))
 
 
@@ -142,15 +142,10 @@ def placed(r: Array, b: Array, point: Array) -> tuple[float, float, float]:
     error_model="numpy",
 )
 def first_obstacle(r: Array, b: Array, body: Array, ball: Array, surroundings: Surroundings, radius: float) -> int:
-    """Returns the first obstacle at most `radius` away from a body, -1 if there is none.
+    """Returns the first obstacle at most `radius` away from a body, -1 for none.
 
-    Args:
-        r: rotation of the body's frame in the world, shape (3, 3).
-        b: position of the body's frame in the world, shape (3,).
-        body: line segments in the body's frame, shape (L, 2, 3).
-        ball: centre and radius of a ball around them in the body's frame, shape (4,).
-        surroundings: the obstacles.
-        radius: radius of the body, or a greater distance to keep.
+    The body's frame has rotation `r` (3, 3) and position `b` (3,) in the world. In this frame the body is line segments
+    (L, 2, 3), in a ball of a centre and radius (4,).
     """
     kinds, axes, centres, sizes, _, _ = surroundings
     if len(kinds) == 0:

@@ -20,7 +20,7 @@ REMEMBERED = 20_000  # results of stage checks
 
 @dataclass(frozen=True, eq=False)
 class KeepOutSet:
-    """The obstacles between two changes, with the results of stage checks among them. For any thread."""
+    """The obstacles between two changes, with the results of stage checks among them. Thread-safe."""
 
     clearance: BodyClearance  # of the whole arm
     sent: Obstacles = NONE  # the obstacles that were sent, without those of the arm's file
@@ -33,7 +33,6 @@ class KeepOutSet:
 
     @property
     def actuators(self) -> int:
-        """Number of actuators of the arm."""
         return len(self.clearance.manipulator.actuators)
 
     def first_collision(

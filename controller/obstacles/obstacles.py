@@ -26,7 +26,6 @@ class Obstacles:
     sizes: Array  # half the sides of a box; a sphere has its radius in the first column; shape (n, 3)
 
     def __len__(self) -> int:
-        """Returns the number of obstacles."""
         return len(self.names)
 
     def depths(self, points: ArrayLike) -> Array:

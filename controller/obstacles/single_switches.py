@@ -33,22 +33,15 @@ from hyperbit.controller.obstacles.swept_check import (
     write_motion,
 )
 
-DEPTH, SHALLOW, FEW = 8, 6, 8  # most halvings of a travel; if the arm's modules have more than FEW different switches
-PARTS = 256  # most parts of a travel to check; a switch that they neither prove clear nor colliding stays undecided
+DEPTH, SHALLOW, FEW = 8, 6, 8  # most halvings of a travel; SHALLOW: above FEW different switches of modules
+PARTS = 256  # most parts of a travel to check; without a result the switch stays undecided
 
 
 class ModuleSwitches(NamedTuple):
-    """The single switches of one module.
-
-    Attributes:
-        rotations, translations: of the frame above the module in the middle of each part, shapes (E, M, 3, 3) and
-            (E, M, 3).
-    """
-
     following: Index  # state after a switch, -1 if there is none or its motion is unknown, shape (K, A)
     rows: Index  # rows of a switch in the arrays below, the same in both directions, shape (K, A)
-    rotations: Array
-    translations: Array
+    rotations: Array  # of the frame above the module in the middle of each part, shape (E, M, 3, 3)
+    translations: Array  # likewise, shape (E, M, 3)
     bodies: Array  # line segments of the module there, shape (E, M, L, 2, 3)
     rates: Array  # see Displacements.rates, shape (E, 3)
 
@@ -70,17 +63,13 @@ class ArmSwitches(NamedTuple):
 
 
 class SwitchScratch(NamedTuple):
-    """Scratch of the kernel; only one search at a time may use it.
-
-    Attributes:
-        suspects, reports: see swept_check.
-    """
+    """Scratch of the kernel; only one search at a time may use it."""
 
     chains: Chains  # the arm, as one box
     motion: BoxMotion  # of this box
     switching: Switching  # the actuator that switches
-    suspects: NDArray[np.bool_]
-    reports: Index
+    suspects: NDArray[np.bool_]  # see swept_check
+    reports: Index  # see swept_check
     waiting: Index  # parts of the travel to check, shape (n,)
     collided: NDArray[np.bool_]  # written: whether the arm collides in the middle of a part, shape (1,)
 

@@ -14,7 +14,7 @@ from hyperbit.controller.obstacles.swept_check import CLEAR, COLLIDING, Chains, 
 States = NDArray[np.uint8]
 
 SAMPLES = 64  # most configurations of a stage to check before the sweep
-BOXES = 512  # most boxes of displacements; a stage that they do not prove clear counts as a collision
+BOXES = 512  # most boxes of displacements; without a proof the stage counts as a collision
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Sweep:
         counts = [len(module.actuators) for module in self._modules]
         self._starts = np.cumsum([0, *counts])
         self._owners = np.repeat(np.arange(len(counts)), counts)
-        self._weights = np.zeros((len(self._owners), len(counts)))  # of each actuator's state in its module's code
+        self._weights = np.zeros((len(self._owners), len(counts)))  # weight of an actuator's state in its module's code
         actuators = np.arange(len(self._owners))
         self._weights[actuators, self._owners] = 1 << (actuators - self._starts[self._owners])
         known = [states_of(module.bits) for module in self._modules]
@@ -54,7 +54,7 @@ class Sweep:
         """Returns a possible collision while actuators (k,) switch from states (A,); None if the transition is clear.
 
         Each actuator may be at any displacement, independently of the others. "Clear" is proven if `proven`, for
-        modules that move as Module.motion says. Otherwise it relies on samples, see Displacements.rates.
+        modules that move according to Module.motion. Otherwise it relies on samples, see Displacements.rates.
         """
         if self._clearance.free:
             return None
@@ -66,7 +66,7 @@ class Sweep:
         return np.asarray(self._known[self._tables + codes.astype(np.int64)])
 
     def describe(self, collision: Collision) -> str:
-        """Returns a collision as a sentence, as BodyClearance.where has it."""
+        """Returns a collision as a sentence, like BodyClearance.where."""
         if collision.obstacle >= 0:
             return f"module {collision.module + 1} is in {self._clearance.obstacles.names[collision.obstacle]}"
         if collision.other >= 0:
@@ -150,7 +150,6 @@ def cut(middles: Array, half_widths: Array, axes: Index) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=16)
 def sweep_of(clearance: BodyClearance) -> Sweep:
-    """Returns the cached sweep of a clearance."""
     return Sweep(clearance)
 
 

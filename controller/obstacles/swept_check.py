@@ -35,11 +35,9 @@ class Chains(NamedTuple):
 
 
 class Switching(NamedTuple):
-    """The actuators that switch."""
-
     owners: Index  # module of each actuator, shape (k,)
     rates: Array  # see Displacements.rates, shape (k, 3)
-    half_widths: Array  # half the width of each box along each displacement, shape (n, k)
+    half_widths: Array  # of each box along each displacement, shape (n, k)
 
 
 class BoxMotion(NamedTuple):
@@ -77,7 +75,6 @@ def body_distance(r: Array, b: Array, body: Array, s: Array, c: Array, other: Ar
 
 @njit(float64(POINT, float64, float64, float64), **UNCOUNTED, inline="always")
 def away(point: Point, x: float, y: float, z: float) -> float:
-    """Returns the distance between two points."""
     return float(np.sqrt((point[0] - x) ** 2 + (point[1] - y) ** 2 + (point[2] - z) ** 2))
 
 
@@ -121,13 +118,7 @@ def near_obstacle(
 ) -> tuple[int, float, bool]:
     """Returns the first obstacle that module j may touch, -1 for none; the bound on its motion; whether it touches.
 
-    Args:
-        chains: the arm.
-        box: the box.
-        motion: motion in this box.
-        surroundings: the obstacles.
-        j: the module.
-        middle: centre of its ball in the world.
+    `middle` is the centre of the module's ball in the world.
     """
     r, b, margin = motion.rotations[j], motion.positions[j], surroundings.margin
     body, ball = chains.bodies[box, j, : chains.lines[j]], chains.balls[box, j]
@@ -167,7 +158,7 @@ def check_box(
     """Checks the suspects of one box, from base to tip, up to one that collides in the middle of the box.
 
     Returns the module that collides, otherwise the one with the greatest bound on its motion, -1 if all are clear; the
-    lowest module that this bound depends on; and whether the module collides. For the arguments see swept_check.
+    lowest module in this bound; and whether the module collides. For the arguments see swept_check.
     """
     greatest, worst, lowest = -1.0, -1, 0
     for j in range(len(motion.moves)):
@@ -213,9 +204,6 @@ def swept_check(
     """Returns for each box of displacements CLEAR, COLLIDING (in its middle), or the actuator along which to cut it.
 
     Args:
-        chains: the arm in the middle of each box.
-        switching: the actuators that switch.
-        surroundings: what the arm must not touch.
         suspects: modules to check, shape (n, B); the kernel clears those that it proves clear.
         reports: written: module, obstacle and other module of a possible collision, shape (n, 3).
     """

@@ -1,9 +1,8 @@
-"""The routes of the page."""
-
 import asyncio
 import base64
 import contextlib
 import hashlib
+import html
 import json
 import re
 import time
@@ -15,7 +14,7 @@ import zenoh
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection, Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
@@ -34,25 +33,23 @@ from hyperbit.controller.panel.arms.arm_view import ArmView
 from hyperbit.controller.panel.arms.arms import Arms
 from hyperbit.controller.panel.arms.metrics import endpoint
 from hyperbit.controller.panel.arms.pages import Page
-from hyperbit.controller.panel.shield import LOCAL, Shield, TooLarge, policy
+from hyperbit.controller.panel.shield import LOCAL, PublicAddress, Shield, TooLarge, policy
 
 STATIC = Path(__file__).parent / "static"
-SESSION_EVERY = 1.0  # [s] between two checks that the session of an open page goes on
+SESSION_EVERY = 1.0  # [s] between two checks of an open page's session
 NO_LOGIN, TOO_MANY, BAD = 4401, 4429, 4400  # close codes of the WebSocket
 
 
 class PanelServer:
     """The page's server.
 
-    Attributes:
-        app: the ASGI application.
-
     Args:
         open_session: opens the Zenoh session; called when the server starts.
         access: checks who may view and command.
-        prefix: prefix of all Zenoh keys.
-        secure: whether the page is served over TLS.
-        hosts: names that are accepted as host; None: any.
+        prefix: of all Zenoh keys.
+        tls: whether the page itself is served over TLS.
+        hosts: accepted host names; None: any.
+        public: address at a reverse proxy; None: there is no proxy.
         clock: returns the time of the pages' heartbeats [s].
     """
 
@@ -62,13 +59,23 @@ class PanelServer:
         access: Access,
         *,
         prefix: str = "hyperbit",
-        secure: bool = False,
+        tls: bool = False,
         hosts: Sequence[str] | None = LOCAL,
+        public: PublicAddress | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._open_session, self._access, self._prefix, self._secure = open_session, access, prefix, secure
-        self._clock = clock
-        self._cookie = "__Host-hyperbit" if secure else "hyperbit"
+        self._open_session, self._access, self._prefix, self._clock = open_session, access, prefix, clock
+        self._path = "/" if public is None else public.path
+        secure = tls or (public is not None and public.origin.startswith("https:"))
+        self._cookie = "hyperbit" if not secure else "__Host-hyperbit" if self._path == "/" else "__Secure-hyperbit"
+        self._cookie_kind: dict[str, Any] = {
+            "path": self._path,
+            "httponly": True,
+            "samesite": "strict",
+            "secure": secure,
+        }
+        text = (STATIC / "index.html").read_text(encoding="utf-8")
+        self._page = text.replace('<base href="/" />', f'<base href="{html.escape(self._path)}" />')
         self._places, self._wrong = Places(), WrongTokens()
         self._arms: Arms | None = None
         self._threads = RequestThreads()
@@ -87,11 +94,11 @@ class PanelServer:
         ]
         handlers = {HTTPException: refuse, TooLarge: too_large}
         inner = Starlette(routes=routes, lifespan=self._lifespan, exception_handlers=handlers)
-        self.app: ASGIApp = Shield(inner, policy(inline_scripts()), secure=secure, hosts=hosts)
+        scheme = "https" if tls else "http"
+        self.app: ASGIApp = Shield(inner, policy(inline_scripts(text)), scheme=scheme, hosts=hosts, public=public)
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
-        """Keeps the session open while the server runs."""
         session = await asyncio.to_thread(self._open_session)
         try:
             self._arms = Arms(session, self._prefix)
@@ -115,13 +122,12 @@ class PanelServer:
     # --- requests over HTTP
 
     async def _shell(self, request: Request) -> Response:
-        """Answers the page itself. It needs no login, because it contains no data."""
+        """Answers with the page itself. It needs no login, because it contains no data."""
         if not is_name(request.path_params.get("name", "a")):
             raise HTTPException(404, "There is no such arm.")
-        return FileResponse(STATIC / "index.html")
+        return HTMLResponse(self._page)
 
     async def _density(self, request: Request) -> Response:
-        """Answers the density of an arm's workspace."""
         if self._person(request) is None:
             raise HTTPException(401, "Log in first.")
         view = self.arms.views.get(request.path_params["name"])
@@ -131,7 +137,7 @@ class PanelServer:
         return Response(data, media_type=kind)
 
     async def _metrics(self, request: Request) -> Response:
-        """Answers the metrics of all arms in Prometheus' format, to people and to programs with a bearer token."""
+        """Answers with the metrics of all arms in Prometheus' format, to people and to programs with a bearer token."""
         if self._person(request) is None:
             kind, _, token = request.headers.get("authorization", "").partition(" ")
             if kind.lower() != "bearer":
@@ -182,26 +188,22 @@ class PanelServer:
             raise HTTPException(403, "This token is nobody's.")
         person = self._access.person(cookie)
         response = JSONResponse({"name": person.name if person else "", "role": person.role if person else ""})
-        response.set_cookie(
-            self._cookie, cookie, max_age=int(LASTS), httponly=True, samesite="strict", secure=self._secure
-        )
+        response.set_cookie(self._cookie, cookie, max_age=int(LASTS), **self._cookie_kind)
         return response
 
     async def _leave(self, request: Request) -> Response:
-        """Ends the session, and deletes its cookie."""
         self._access.leave(request.cookies.get(self._cookie))
         response = Response(status_code=204)
-        response.delete_cookie(self._cookie, httponly=True, samesite="strict", secure=self._secure)
+        response.delete_cookie(self._cookie, **self._cookie_kind)
         return response
 
     async def _delay(self, request: Request) -> None:
-        """Delays the answer to a wrong token."""
         await asyncio.sleep(self._wrong.delay(address_of(request)))
 
     # --- the WebSocket of a page
 
     async def _live(self, socket: WebSocket) -> None:
-        """Sends a page the data of an arm, or the list of arms, and serves its requests until the page is closed."""
+        """Sends the data of an arm, or the list of arms, to a page, and serves its requests until it closes."""
         person, name = self._person(socket), socket.path_params.get("name")
         await socket.accept()
         if person is None:
@@ -257,19 +259,16 @@ class PanelServer:
 
 
 def address_of(connection: HTTPConnection) -> str:
-    """Returns the IP address of the other end of a connection; "" if it has none."""
     return connection.client.host if connection.client else ""
 
 
-def inline_scripts() -> str:
-    """Returns the hashes of the page's inline scripts (the import map) for the content security policy."""
-    text = (STATIC / "index.html").read_text(encoding="utf-8")
+def inline_scripts(text: str) -> str:
+    """Returns the hashes of a page's inline scripts (the import map) for the content security policy."""
     parts = re.findall(r"<script type=\"importmap\">(.*?)</script>", text, re.DOTALL)
     return " ".join(f"'sha256-{base64.b64encode(hashlib.sha256(part.encode()).digest()).decode()}'" for part in parts)
 
 
 async def refuse(request: Request, error: Exception) -> Response:
-    """Answers a refusal with a sentence."""
     status = error.status_code if isinstance(error, HTTPException) else 500
     known = {404: "There is no such address.", 405: "This address does not support this method."}
     detail = error.detail if isinstance(error, HTTPException) else ""
@@ -279,5 +278,4 @@ async def refuse(request: Request, error: Exception) -> Response:
 
 
 async def too_large(request: Request, error: Exception) -> Response:
-    """Answers that a body is too large or too slow."""
     return PlainTextResponse("The body is too large, or arrives too slowly.\n", status_code=413)

@@ -10,7 +10,8 @@ from typing import Any
 
 import msgspec
 
-from hyperbit.controller.armfile.strict import InputFaults, parse_yaml
+from hyperbit.controller.armfile.documents import parse_payload
+from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.network.client import Unanswered
 from hyperbit.controller.panel.arms.arm_view import ArmView
 from hyperbit.controller.panel.arms.pages import Page, RateLimit
@@ -52,7 +53,7 @@ class RequestThreads:
     """The threads that send requests to daemons. Stops have their own threads, so that they never wait."""
 
     def __init__(self) -> None:
-        self.stops = ThreadPoolExecutor(4, "stop")
+        self.stops = ThreadPoolExecutor(32, "stop")  # pages ask a silent daemon again and again
         self.plans = ThreadPoolExecutor(4, "plan")
         self.others = ThreadPoolExecutor(8, "ask")
 
@@ -67,13 +68,7 @@ class Flood(Exception):
 
 
 class ArmPage:
-    """Serves the requests of one page. Used only on the event loop of the pages.
-
-    Args:
-        view: data of the page's arm.
-        page: the page.
-        threads: threads that all pages share.
-    """
+    """Serves the requests of one page. Used only on the event loop of the pages."""
 
     def __init__(self, view: ArmView, page: Page, threads: RequestThreads) -> None:
         self._view, self._page, self._threads = view, page, threads
@@ -81,11 +76,7 @@ class ArmPage:
         self._open: set[asyncio.Task[None]] = set()
 
     def receive_request(self, request: PageRequest) -> None:
-        """Accepts a request; its answer is sent to the page.
-
-        Raises:
-            Flood: the page sent too many requests and must be closed.
-        """
+        """Accepts a request; its answer is sent to the page. Raises Flood if the page sent too many requests."""
         urgent = isinstance(request, UrgentRequest)
         limit = self._stops if urgent else self._limit
         if not limit.take_token():
@@ -102,7 +93,6 @@ class ArmPage:
             task.add_done_callback(self._open.discard)
 
     def refuse(self, number: int, message: str) -> None:
-        """Sends the page a refusal of its request number `number`."""
         self._page.reply(encoded({"section": "reply", "n": number, "accepted": False, "message": message}))
 
     def _refuse(self, request: PageRequest, message: str) -> None:
@@ -121,7 +111,6 @@ class ArmPage:
         return self._view.control.refusal(self._page)
 
     async def _serve(self, request: PageRequest) -> None:
-        """Carries a request out and answers it."""
         try:
             answer = await self._carry_out(request)
         except Unanswered as error:
@@ -166,7 +155,8 @@ class ArmPage:
             case PlanRequest(goal=goal):
                 return await self._plan(goal)
             case GoalFileRequest(text=text):
-                read = await asyncio.get_running_loop().run_in_executor(self._threads.plans, read_goal, text)
+                words = text, Path("file"), "goal", "waypoints", MOST_YAML
+                read = await asyncio.get_running_loop().run_in_executor(self._threads.plans, parse_payload, *words)
                 return {**await self._plan(read), "file": read}
             case SeekRequest():
                 asked = {"at": request.at, "speed": request.speed, "paused": request.paused}
@@ -215,26 +205,5 @@ class ArmPage:
         self._view.publish_history()
 
 
-def read_goal(text: str) -> Message:
-    """Parses the text of a goal's file, JSON or short YAML; YAML takes a thousand times as long to parse.
-
-    Raises:
-        InputFaults: the text is neither, or holds no mapping.
-    """
-    path = Path("file")
-    try:
-        value: Any = msgspec.json.decode(text)
-    except (msgspec.MsgspecError, RecursionError, UnicodeError):
-        if len(text) > MOST_YAML:
-            raise InputFaults(
-                path, [f"the text is no JSON, and YAML may have {MOST_YAML} characters at most"]
-            ) from None
-        value = parse_yaml(text, path)
-    if not isinstance(value, dict):
-        raise InputFaults(path, ["no goal: an object with `waypoints` is needed"])
-    return value
-
-
 def encoded(message: Mapping[str, Any]) -> bytes:
-    """Returns a message as JSON."""
     return msgspec.json.encode(message)

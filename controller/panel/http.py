@@ -1,4 +1,4 @@
-"""HTTP and WebSocket connections: client certificates, and an end for slow requests."""
+"""HTTP and WebSocket connections: client certificates, and a time limit of requests."""
 
 import asyncio
 from typing import Any
@@ -7,7 +7,7 @@ import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-REQUEST_WITHIN = 10.0  # [s] from the connection, or from the first byte of a further request, to the request's end
+REQUEST_WITHIN = 10.0  # [s] to the end of a request, from the connection or the first byte of a further request
 
 
 def common_name(transport: Any) -> str | None:
@@ -19,18 +19,16 @@ def common_name(transport: Any) -> str | None:
 
 
 class GuardedHttp(H11Protocol):
-    """HTTP with the common name of the client certificate. Closes a connection whose request is incomplete for long.
+    """HTTP with the common name of the client certificate. Closes a connection whose request stays incomplete too long.
 
     uvicorn has no such limit: its keep-alive time-out begins after the first answer.
     """
 
     def __init__(self, *words: Any, **named: Any) -> None:
-        """Creates the protocol of one connection."""
         super().__init__(*words, **named)
         self._deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: Any) -> None:
-        """Stores the certificate's common name, and waits for a request."""
         super().connection_made(transport)
         self.app_state = {**self.app_state, "certificate": common_name(transport)}
         self._watch_request()
@@ -41,12 +39,11 @@ class GuardedHttp(H11Protocol):
         self._watch_request()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Ends the time of the request."""
         self._end_deadline()
         super().connection_lost(exc)
 
     def _watch_request(self) -> None:
-        """Begins the time of a request that is incomplete, or ends the time of a complete one."""
+        """Starts the time limit of an incomplete request; ends that of a complete one."""
         upgraded = self.transport.get_protocol() is not self
         if upgraded or self.conn.their_state not in (h11.IDLE, h11.SEND_BODY):
             self._end_deadline()
@@ -63,6 +60,5 @@ class CertifiedWebSocket(WebSocketsSansIOProtocol):
     """A WebSocket whose connections carry the common name of the client certificate."""
 
     def connection_made(self, transport: Any) -> None:
-        """Stores the certificate's common name."""
         super().connection_made(transport)
         self.app_state = {**self.app_state, "certificate": common_name(transport)}

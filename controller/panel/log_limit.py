@@ -11,10 +11,7 @@ MOST_KINDS = 1000
 class LogLimit(logging.Filter):
     """Drops log lines of a kind that occurs too often. A kind is a message before its arguments are filled in.
 
-    The first line after a pause names the number of dropped lines.
-
-    Args:
-        clock: returns the time [s].
+    The first line after a pause has the number of dropped lines. `clock` returns the time [s].
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -23,7 +20,6 @@ class LogLimit(logging.Filter):
         self._kinds: dict[tuple[str, str], tuple[float, int]] = {}  # begin of the count, and number of lines
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Returns whether a line is written."""
         kind, now = (record.name, str(record.msg)[:200]), self._clock()
         begin, count = self._kinds.pop(kind, (now, 0))
         dropped = max(count - MOST_LINES, 0)

@@ -12,7 +12,7 @@ Label = Annotated[str, Meta(min_length=1, max_length=100)]
 
 
 class NumberedRequest(Struct, forbid_unknown_fields=True, tag_field="do", kw_only=True):
-    """A message of a page, with its number, and the number of the latest heartbeat that the page has heard."""
+    """A message of a page: its number, and the number of the latest heartbeat that the page has received."""
 
     n: Number
     heartbeat: Number | None = None
@@ -31,30 +31,26 @@ class ResetRequest(NumberedRequest, tag="reset"):
 
 
 class TakeControlRequest(NumberedRequest, tag="take"):
-    """Take control of the arm."""
+    pass
 
 
 class ReleaseControlRequest(NumberedRequest, tag="release"):
-    """Release control of the arm."""
+    pass
 
 
 class JogRequest(NumberedRequest, tag="jog"):
-    """Switch one actuator."""
-
     actuator: Label
     state: Literal["contracted", "extended"]
 
 
 class LockRequest(NumberedRequest, tag="lock"):
-    """Lock an actuator in a state, or unlock it."""
+    """Lock an actuator in a state; None: unlock it."""
 
     actuator: Label
     state: Literal[0, 1] | None
 
 
 class ObstaclesRequest(NumberedRequest, tag="obstacles"):
-    """Replace the obstacles sent before."""
-
     regions: Annotated[list[Any], Meta(max_length=1000)]
 
 
@@ -73,14 +69,10 @@ class PoseRequest(NumberedRequest, tag="pose"):
 
 
 class PlanRequest(NumberedRequest, tag="plan"):
-    """Plan a goal without running it."""
-
     goal: dict[str, Any]
 
 
 class GoalRequest(NumberedRequest, tag="go"):
-    """Run a goal."""
-
     goal: dict[str, Any]
 
 
@@ -113,11 +105,7 @@ class BadRequest(ValueError):
 
 
 def decode_request(data: str) -> PageRequest:
-    """Decodes a request.
-
-    Raises:
-        BadRequest: the message is malformed.
-    """
+    """Decodes a request. Raises BadRequest if the message is malformed."""
     if len(data) > MOST_BYTES:
         raise BadRequest(f"at most {MOST_BYTES} characters are accepted")
     try:

@@ -4,10 +4,11 @@ import asyncio
 import errno
 import ipaddress
 import json
+import re
 import socket
 import ssl
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,13 +19,15 @@ from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.host.signals import end_on_signals
 from hyperbit.controller.network import session
+from hyperbit.controller.network.endpoints import parse_endpoint
+from hyperbit.controller.network.reach import open_session
 from hyperbit.controller.panel.access.access import Access
 from hyperbit.controller.panel.access.people import PersonEntry, digest_of, new_token, read_people
 from hyperbit.controller.panel.access.sessions import sessions_file
 from hyperbit.controller.panel.app import PanelServer
 from hyperbit.controller.panel.http import CertifiedWebSocket, GuardedHttp
 from hyperbit.controller.panel.requests import MOST_BYTES
-from hyperbit.controller.panel.shield import LOCAL
+from hyperbit.controller.panel.shield import LOCAL, PublicAddress
 
 MOST_CONNECTIONS = 500
 BACKLOG = 1024  # connections that wait to be accepted
@@ -32,8 +35,6 @@ WATCHDOG_EVERY = 2.0  # [s]
 
 
 class Address(NamedTuple):
-    """Address of the page: host and port."""
-
     host: str
     port: int
 
@@ -49,7 +50,7 @@ class Address(NamedTuple):
 
     @property
     def hosts(self) -> tuple[str, ...] | None:
-        """Names that requests may have as their host; None: any. Foreign names may be resolved to this computer."""
+        """Host names that requests may have; None: any. Foreign names may resolve to this computer."""
         return (*LOCAL, self._bracketed) if self.local else None
 
     @property
@@ -57,12 +58,11 @@ class Address(NamedTuple):
         return f"[{self.host}]" if ":" in self.host else self.host
 
     def written(self, port: int, *, secure: bool) -> str:
-        """Returns the URL of the page."""
         return f"{'https' if secure else 'http'}://{self._bracketed}:{port}/"
 
 
 class Tls(NamedTuple):
-    """Files for TLS: certificate, private key, and optionally the authority of client certificates."""
+    """Files for TLS; `clients` is the authority of client certificates."""
 
     certificate: Path
     key: Path
@@ -70,23 +70,31 @@ class Tls(NamedTuple):
 
 
 def parse_address(text: str) -> Address:
-    """Parses HOST:PORT.
-
-    Raises:
-        InputFaults: the text has another form.
-    """
+    """Parses HOST:PORT. Raises InputFaults if the text has another form."""
     host, _, port = text.rpartition(":")
     if not host or not port.isascii() or not port.isdecimal() or int(port) > 65535:
         raise InputFaults(Path("--listen"), [f"{text!r}: HOST:PORT is needed, such as 127.0.0.1:7480"])
     return Address(host.strip("[]"), int(port))
 
 
-def listening(address: Address) -> list[socket.socket]:
-    """Returns sockets that listen at an address: one for each IP address of its host.
+def parse_public_address(text: str) -> PublicAddress:
+    """Parses the URL of the page at a reverse proxy.
 
     Raises:
-        OSError: the address is in use, or is none of this computer.
+        InputFaults: the text is no such URL.
     """
+    found = re.fullmatch(r"(https?://[a-z0-9.-]+(?::\d+)?|https?://\[[0-9a-f:]+\](?::\d+)?)((?:/[\w.~-]+)*)/?", text)
+    if found is None:
+        raise InputFaults(
+            Path("--public"), [f"{text!r}: a URL in small letters is needed, such as https://robot.local/hyperbit/"]
+        )
+    origin, path = found.groups()
+    default = ":443" if origin.startswith("https:") else ":80"
+    return PublicAddress(origin.removesuffix(default), f"{path}/")
+
+
+def listening(address: Address) -> list[socket.socket]:
+    """Returns a listening socket for each IP address of the host. Raises OSError if the address is not free."""
     sockets, port = list[socket.socket](), address.port
     failed: OSError | None = None
     for family, _, _, _, target in socket.getaddrinfo(address.host, port, type=socket.SOCK_STREAM):
@@ -103,13 +111,15 @@ def listening(address: Address) -> list[socket.socket]:
 
 
 def zenoh_configuration(endpoints: Sequence[str], file: Path | None) -> zenoh.Config:
-    """Returns a Zenoh configuration that connects to daemons as soon as they are there.
+    """Returns a Zenoh configuration that connects to daemons as soon as they start.
 
     A Zenoh client connects to one endpoint only, which must be there. So the panel is a peer that does not listen.
 
     Raises:
-        ValueError: the file is no Zenoh configuration.
+        ValueError: the file is no Zenoh configuration, or an endpoint is none.
     """
+    for endpoint in () if file is not None else endpoints:
+        parse_endpoint(endpoint)
     config = session.configuration("peer") if file is None else session.from_file(file)
     if file is None:
         config.insert_json5("connect/endpoints", json.dumps(list(endpoints)))
@@ -129,7 +139,14 @@ def read_or_make_people(path: Path | None) -> tuple[list[PersonEntry], dict[str,
     ], tokens
 
 
-def serve(address: Address, tls: Tls | None, people: Path | None, config: zenoh.Config, prefix: str) -> None:
+def serve(
+    address: Address,
+    tls: Tls | None,
+    people: Path | None,
+    config: zenoh.Config,
+    prefix: str,
+    public: PublicAddress | None = None,
+) -> None:
     """Serves the page until a signal ends the process; prints its address once it is served.
 
     Raises:
@@ -142,12 +159,20 @@ def serve(address: Address, tls: Tls | None, people: Path | None, config: zenoh.
     listed, tokens = read_or_make_people(people)
     sockets = listening(address)
     access = Access(listed, sessions_file())
-    panel = PanelServer(lambda: zenoh.open(config), access, prefix=prefix, secure=tls is not None, hosts=address.hosts)
-    asyncio.run(_serve(panel, address, tls, tokens, sockets))
+    panel = PanelServer(
+        lambda: open_session(config), access, prefix=prefix, tls=tls is not None, hosts=address.hosts, public=public
+    )
+    written = None if public is None else f"{public.origin}{public.path}"
+    asyncio.run(_serve(panel, address, tls, tokens, sockets, written))
 
 
 async def _serve(
-    panel: PanelServer, address: Address, tls: Tls | None, tokens: dict[str, str], sockets: list[socket.socket]
+    panel: PanelServer,
+    address: Address,
+    tls: Tls | None,
+    tokens: dict[str, str],
+    sockets: list[socket.socket],
+    public: str | None,
 ) -> None:
     options: dict[str, Any] = {}
     if tls is not None:
@@ -173,7 +198,9 @@ async def _serve(
             **options,
         )
     )
-    announced = asyncio.create_task(_announce(server, address, tls is not None, tokens))
+    announced = asyncio.create_task(
+        _announce(server, tokens, lambda port: public or address.written(port, secure=tls is not None))
+    )
 
     def end() -> None:
         server.should_exit = True
@@ -183,13 +210,13 @@ async def _serve(
     announced.cancel()
 
 
-async def _announce(server: uvicorn.Server, address: Address, secure: bool, tokens: dict[str, str]) -> None:
+async def _announce(server: uvicorn.Server, tokens: dict[str, str], written: Callable[[int], str]) -> None:
     """Waits until the page is served, prints its address with the new tokens, then feeds systemd's watchdog."""
     notifier = Notifier()
     while not server.started:
         await asyncio.sleep(0.02)
     port = server.servers[0].sockets[0].getsockname()[1]
-    url = address.written(port, secure=secure)
+    url = written(port)
     lines = [f"{name}: {url}#{token}" for name, token in tokens.items()] or [url]
     sys.stdout.write("".join(f"hyperbit panel, {line}\n" for line in lines))  # at once, also without a buffer
     sys.stdout.flush()

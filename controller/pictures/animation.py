@@ -17,21 +17,16 @@ from hyperbit.controller.workspace.densities import Densities
 Array = NDArray[np.float64]
 
 SHARES = (0.25, 0.5, 0.75, 1.0)  # displacements at which a transition is drawn
-FRAME, END, PAUSE = 50, 110, 1300  # [ms] that a frame stays: in mid-travel, at the end of a transition, at a pause
+FRAME, END, PAUSE = 50, 110, 1300  # [ms], duration of a frame: in mid-travel, at the end of a transition, at a pause
 SHADES = 48  # of the palette: fewer make a smaller file
 SIDES, DOTS = (7.0, 5.9), 72.0  # of the picture [inch], and per inch
 
 
 class Movement(NamedTuple):
-    """The movement to show.
+    """The movement to show."""
 
-    Attributes:
-        states: of the actuators, 0 or 1, shape (A,) each, one after the other; at least one.
-        pauses: indices of the states at which the animation pauses.
-    """
-
-    states: Sequence[ArrayLike]
-    pauses: Collection[int] = ()
+    states: Sequence[ArrayLike]  # of the actuators, 0 or 1, shape (A,) each, one after the other; at least one
+    pauses: Collection[int] = ()  # indices of the states at which the animation pauses
 
 
 def animate(
@@ -44,17 +39,7 @@ def animate(
 ) -> None:
     """Writes an endless animation, in the format of the path's suffix: .gif, .png (APNG) or .webp.
 
-    Args:
-        path: file to write.
-        manipulator: the arm.
-        densities: of its intermediate workspaces; ignored for a spatial arm.
-        movement: states of the actuators, and pauses.
-        subplot: title, targets and waypoints.
-        obstacles: obstacles to draw.
-
-    Raises:
-        OSError: the file cannot be written.
-        ValueError: Pillow knows no such suffix.
+    A spatial arm needs no densities. Raises OSError, or ValueError for a suffix that Pillow does not know.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
@@ -68,7 +53,7 @@ def animate(
     widen(axes, bodies, 2 if manipulator.planar else 3)
     lines, tips = moving(axes, manipulator)
     canvas.draw()
-    shown.set_layout_engine("none")  # stays as it is now: to lay each frame out anew takes most of the time
+    shown.set_layout_engine("none")  # no new layout for each frame: it would take most of the time
     images, durations, trail = [], list[int](), list[Array]()
     for k, step in enumerate(steps):
         for share in SHARES if k else (1.0,):

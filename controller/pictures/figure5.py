@@ -23,27 +23,14 @@ TITLES: dict[PaperMethod, str] = {
 
 @dataclass(frozen=True)
 class ExperimentResult:
-    """Result of one method for one target.
-
-    Attributes:
-        method: the algorithm.
-        target: position of the target.
-        configuration: text form, base first.
-        x: position of the tip; `y` likewise.
-        y: see x.
-        theta: orientation of the tip [rad].
-        error: distance of the tip from the target.
-        switches: actuators that differ from the previous configuration.
-    """
-
     method: PaperMethod
     target: tuple[float, float]
-    configuration: str
+    configuration: str  # text form, base first
     x: float
     y: float
-    theta: float
-    error: float
-    switches: int
+    theta: float  # orientation of the tip [rad]
+    error: float  # distance of the tip from the target
+    switches: int  # actuators that differ from the previous configuration
 
 
 def experiment(arm: Arm, densities: Densities) -> list[ExperimentResult]:

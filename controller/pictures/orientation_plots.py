@@ -36,7 +36,7 @@ def draw_rotations(figure: Any, found: Orientations) -> None:
     """
     figure.suptitle("orientations at the point")
     axes = figure.add_subplot(1, 3, 1, projection="polar")
-    shares = directions(found)[::-1]  # from the z axis on
+    shares = directions(found)[::-1]  # first row: around the z axis
     polar = np.arccos(np.linspace(1, -1, LATITUDES + 1))
     longitudes = np.linspace(-math.pi, math.pi, LONGITUDES + 1)
     shown = np.where(shares > 0, shares, np.nan)

@@ -16,11 +16,11 @@ from hyperbit.controller.obstacles.obstacles import NONE, Obstacles
 from hyperbit.controller.pictures.obstacle_plots import draw_obstacles, draw_spatial_obstacles
 from hyperbit.controller.workspace.densities import Densities
 
-if TYPE_CHECKING:  # matplotlib takes half a second to import: only those who draw wait for it
+if TYPE_CHECKING:  # matplotlib takes half a second to import
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, which colour-blind readers tell apart; those that gray swallows left out.
+# Okabe and Ito's colours for colour-blind readers, without those that vanish on gray.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 LIGHTEST, DARKEST = 0.88, 0.55
 # Densities within this factor of the greatest are all drawn in the darkest gray.
@@ -32,19 +32,12 @@ CROWDED = 60  # lines of one spatial arm, drawn thinner from there on
 
 @dataclass(frozen=True, eq=False)
 class Subplot:
-    """The content of one picture.
-
-    Attributes:
-        title: title above the picture.
-        configurations: configurations to draw, by their names in the legend.
-        targets: drawn as black crosses, shape (n, 2) or (n, 3).
-        curve: waypoints drawn as a dotted line, shape (n, 2) or (n, 3).
-    """
+    """The content of one picture."""
 
     title: str = ""
-    configurations: Mapping[str, Configuration] = field(default_factory=dict)
-    targets: ArrayLike = ()
-    curve: ArrayLike = ()
+    configurations: Mapping[str, Configuration] = field(default_factory=dict)  # by their names in the legend
+    targets: ArrayLike = ()  # drawn as black crosses, shape (n, 2) or (n, 3)
+    curve: ArrayLike = ()  # waypoints, drawn as a dotted line, shape (n, 2) or (n, 3)
 
 
 def save(
@@ -57,17 +50,8 @@ def save(
 ) -> None:
     """Writes a picture of the subplots side by side, in the format of the path's suffix.
 
-    Args:
-        path: file to write.
-        manipulator: the arm.
-        densities: of its intermediate workspaces; None: not drawn; ignored for a spatial arm.
-        subplots: from left to right.
-        unit: of length, for the axes.
-        obstacles: obstacles to draw.
-
-    Raises:
-        OSError: the file cannot be written.
-        ValueError: matplotlib knows no such suffix.
+    A planar arm is drawn without densities if they are None, a spatial arm always. `unit` is that of length, for the
+    axes. Raises OSError, or ValueError for a suffix that matplotlib does not know.
     """
     figure(manipulator, densities, subplots, unit, obstacles).savefig(path, dpi=150, bbox_inches="tight")
 
@@ -202,14 +186,13 @@ def draw_goals(axes: Any, subplot: Subplot, dimension: int) -> tuple[NDArray[np.
 
 
 def add_legend(axes: Any) -> None:
-    """Adds the legend below the axes."""
     from matplotlib.transforms import ScaledTranslation
 
     count = len(axes.get_legend_handles_labels()[1])
     if not count:
         return
     below: dict[str, Any] = {"bbox_to_anchor": (0.5, -0.1)}
-    if axes.name != "3d":  # a length, not a part of the height: a flat picture has labels below its axes as well
+    if axes.name != "3d":  # an absolute length: a flat picture has labels below its axes, too
         down = ScaledTranslation(0.0, -LABELS / 72, axes.figure.dpi_scale_trans)
         below = {"bbox_to_anchor": (0.5, 0.0), "bbox_transform": axes.transAxes + down}
     axes.legend(loc="upper center", ncols=count if count <= 4 else 3, frameon=False, **below)
@@ -225,7 +208,6 @@ def styled(subplot: Subplot) -> Iterator[tuple[str, Configuration, str, float]]:
 
 
 def points(given: ArrayLike, dimension: int) -> NDArray[np.float64]:
-    """Returns positions as an array (n, dimension)."""
     return np.asarray(given, dtype=float).reshape(-1, dimension)
 
 

@@ -28,13 +28,9 @@ PARTS = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts
 
 
 class FoxgloveScene:
-    """Draws an arm in any state.
+    """Draws an arm in any state, from the payload of `arm` with `drawing`.
 
-    Args:
-        arm: payload of `arm`, with `drawing`.
-
-    Raises:
-        LookupError, TypeError, ValueError: the payload has another form, as of another version.
+    Raises LookupError, TypeError or ValueError if the payload has another form, as of another version.
     """
 
     def __init__(self, arm: Message) -> None:
@@ -145,7 +141,7 @@ def entity(name: str, frame: str, stamp: float, **primitives: list[Any]) -> dict
 
 
 def solid(centre: Sequence[float], size: Sequence[float], turned: Sequence[float] = (0, 0, 0, 1)) -> dict[str, Any]:
-    """Returns pose and size of a primitive, whose centre has two or three coordinates."""
+    """Returns pose and size of a primitive; its centre has two or three coordinates."""
     return {"pose": pose([*centre, 0.0][:3], turned), "size": vector(size)}
 
 
@@ -155,12 +151,10 @@ def pose(position: Sequence[float] = (0, 0, 0), turned: Sequence[float] = (0, 0,
 
 
 def vector(values: Sequence[float] | NDArray[np.float64]) -> dict[str, float]:
-    """Returns a vector as fields x, y and z."""
     return dict(zip("xyz", (round(float(v), 9) for v in values), strict=True))
 
 
 def rgba(colour: Colour) -> dict[str, float]:
-    """Returns a colour as fields r, g, b and a."""
     return dict(zip("rgba", colour, strict=True))
 
 

@@ -25,37 +25,20 @@ SLICES = ((2, 0, 1), (1, 0, 2), (0, 1, 2))  # axis that a slice cuts, and the ax
 
 
 class Field(NamedTuple):
-    """Numbers of configurations within the tolerance of goals, in pixels parallel to the axes of the base.
-
-    Attributes:
-        title: title above its pictures.
-        counts: log10 of the numbers, minus infinity where there are none, shape (z, y, x).
-        reference: centre of the first pixel in the base frame, x, y, z.
-        pixel: side of the pixels.
-        lost: pixels to mark as lost, shape (z, y, x), or None.
-    """
+    """Numbers of configurations within the tolerance of goals, in pixels parallel to the axes of the base."""
 
     title: str
-    counts: Array
-    reference: Array
-    pixel: float
-    lost: NDArray[np.bool_] | None = None
+    counts: Array  # log10 of the numbers, minus infinity for none, shape (z, y, x)
+    reference: Array  # centre of the first pixel in the base frame, x, y, z
+    pixel: float  # side of the pixels
+    lost: NDArray[np.bool_] | None = None  # pixels to mark, shape (z, y, x)
 
 
 class Slice(NamedTuple):
-    """A plane through a field.
-
-    Attributes:
-        counts: log10 of the numbers, minus infinity where there are none, shape (rows, columns).
-        lost: pixels to mark as lost, shape (rows, columns), or None.
-        reference: centre of the first pixel, horizontal and vertical.
-        pixel: side of the pixels.
-    """
-
-    counts: Array
-    lost: NDArray[np.bool_] | None
-    reference: Array
-    pixel: float
+    counts: Array  # log10 of the numbers, minus infinity for none, shape (rows, columns)
+    lost: NDArray[np.bool_] | None  # pixels to mark, shape (rows, columns)
+    reference: Array  # centre of the first pixel, horizontal and vertical
+    pixel: float  # side of the pixels
 
 
 def positions_field(densities: Densities, dimension: int, tolerance: float) -> Field:
@@ -84,13 +67,8 @@ def draw_workspace(
 ) -> Figure:
     """Returns the picture of a workspace: one row for a planar arm, a row of slices for each field of a spatial arm.
 
-    Args:
-        manipulator: the arm.
-        fields: to draw.
-        point: position in the world to mark, through which slices go; the densest pixel of the first field if None.
-        orientations: at the point; None to draw none.
-        title: above the picture.
-        unit: of length, for the axes.
+    `point` is a position in the world to mark, through which slices go; None: the densest pixel of the first field.
+    `orientations` are those at the point, if they are to be drawn. `unit` is that of length, for the axes.
     """
     from matplotlib.figure import Figure
 
@@ -124,13 +102,11 @@ def in_base(manipulator: Manipulator, point: ArrayLike) -> Array:
 
 
 def densest(field: Field) -> Array:
-    """Returns the centre of the densest pixel in the base frame."""
     z, y, x = np.unravel_index(int(field.counts.argmax()), field.counts.shape)
     return np.asarray(field.reference + field.pixel * np.array([x, y, z]))
 
 
 def draw_plane(axes: Any, manipulator: Manipulator, field: Field, point: ArrayLike | None, unit: str) -> None:
-    """Draws the field of a planar arm in the world."""
     from matplotlib.transforms import Affine2D
 
     base = manipulator.base[np.ix_([0, 1, 3], [0, 1, 3])]
@@ -170,16 +146,10 @@ def draw_slices(figure: Any, field: Field, centre: Array, unit: str, *, cross: b
 def draw_counts(
     axes: Any, part: Slice, transform: Any, limits: tuple[float, float] | None = None
 ) -> tuple[float, float, float, float]:
-    """Draws the numbers of configurations in gray, and lost pixels in colour.
+    """Draws the numbers of configurations in gray, and lost pixels in colour; returns left, right, bottom and top.
 
-    Args:
-        axes: where to draw.
-        part: what to draw.
-        transform: from the field's frame to the axes.
-        limits: log10 of the numbers drawn in the lightest and the darkest gray; None: the least and the greatest.
-
-    Returns:
-        The extent: left, right, bottom, top.
+    `transform` leads from the field's frame to the axes. `limits` are log10 of the numbers drawn in the lightest and
+    the darkest gray; None: the least and the greatest.
     """
     from matplotlib.colors import LinearSegmentedColormap, ListedColormap
 
@@ -217,7 +187,6 @@ def draw_limit(axes: Any, part: Slice, transform: Any) -> None:
 
 
 def add_key(figure: Any, every: list[Any], fields: list[Field]) -> None:
-    """Adds the legend below the pictures."""
     from matplotlib.patches import Patch
 
     handles: dict[str, Any] = {}

@@ -10,7 +10,6 @@ goals of the last seconds, but does not damage the file. The switch journal has 
 """
 
 import errno
-import fcntl
 import logging
 import os
 import threading
@@ -20,32 +19,33 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 
+from hyperbit.controller.host.keeper import lock_file
 from hyperbit.controller.planning.core.events import Identity, Record, ResultEntry
 from hyperbit.controller.planning.ledger_file import MOST_GOALS, LedgerFile, counted, damaged, owed, plain
 from hyperbit.controller.program import Fault
 
 log = logging.getLogger(__name__)
 
-WRITE_EVERY = 5.0  # [s] between two transactions with counts alone, because each one wears flash memory
+WRITE_EVERY = 5.0  # [s] between two transactions with counts alone: each one wears flash memory
 MOST_MARKS = 1_000  # the executor stores no more results
 
 
 class Ledger:
     """Records goals, results and counts. No method waits, except `close`.
 
-    A thread with one connection writes the waiting records at once, in one transaction. Counts are written with them,
+    A thread with one connection writes all waiting records at once, in one transaction. Counts are written with them,
     or alone after `write_every`. If the file cannot be written, `fault` says why, and the data is written later. A
     damaged file is renamed; a new file begins with the present counts, but without the goals.
 
-    In the ledger's thread, `recorded` takes the number of each record when it is written or cannot be written, and
-    `fatal` takes a message when the thread dies.
+    In the ledger's thread, `recorded` takes the number of each record after it was written or failed, and `fatal` takes
+    a message when the thread dies.
 
     Raises:
-        LedgerInUse: another process writes this ledger.
+        FileInUse: another process writes this ledger.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Ledger:
         fatal: Callable[[str], None] = lambda _: None,
         write_every: float = WRITE_EVERY,  # [s] between two transactions without a record
     ) -> None:
-        self._path, self._lock_file = path, locked_file(path)
+        self._path, self._lock = path, locked(path)
         self.fault: str | None = None  # why the file cannot be written now
         self.damage: str | None = None  # what happened to a damaged file
         counts = counted(path)
@@ -69,11 +69,11 @@ class Ledger:
         self._thread.start()
 
     def record(self, record: Record) -> None:
-        """Records a goal, its result, or both; then `recorded` is called with its number."""
+        """Queues a goal, its result, or both; later `recorded` is called with the record's number."""
         self._queue.put(record)
 
     def counts(self, counts: Sequence[int]) -> None:
-        """Takes the executor's counts, one for each actuator; a count never falls. For one thread."""
+        """Stores the executor's counts, one for each actuator; a count never falls. For one thread."""
         if len(counts) != len(self.known):
             log.error("the executor counts %d actuators, the ledger %d", len(counts), len(self.known))
             return
@@ -87,8 +87,9 @@ class Ledger:
         """Writes the rest, and frees the ledger for other processes."""
         self._queue.put(None)
         self._thread.join(timeout)
-        if self._lock_file is not None:
-            self._lock_file.close()
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
     def _run(self) -> None:
         unwritten: deque[Record] = deque(maxlen=2 * MOST_GOALS)
@@ -131,31 +132,17 @@ class Ledger:
         return False
 
 
-class LedgerInUse(Exception):
-    """Another process has the ledger; the text says which."""
-
-
-def locked_file(ledger: Path) -> IO[bytes] | None:
-    """Returns the file "<ledger>.lock", locked until it is closed or the process ends; None if it cannot be made.
+def locked(ledger: Path) -> int | None:
+    """Returns the descriptor of the locked file "<ledger>.lock"; None if it cannot be made.
 
     The ledger itself cannot carry the lock: closing another file descriptor of it would drop SQLite's own locks.
     """
     path = ledger.with_name(f"{ledger.name}.lock")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600), "r+b", buffering=0)
+        return lock_file(path, f"end the other daemon first: the ledger {ledger} is in use by process")
     except OSError as error:
         log.warning("%s: no lock on the ledger: %s", path, error.strerror)
         return None
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        with file:
-            owner = file.read(100).decode(errors="replace").strip() or "unknown"
-        raise LedgerInUse(f"the ledger {ledger} is in use by another daemon, process {owner}: end it first") from None
-    file.truncate(0)
-    file.write(f"{os.getpid()}\n".encode())
-    return file
 
 
 class Mark(NamedTuple):  # a published result, one JSON array in a line
@@ -170,15 +157,15 @@ class Mark(NamedTuple):  # a published result, one JSON array in a line
 class PublishedResults:
     """Marks of the newest results, made before each is published, in memory and in a file.
 
-    After the start for one thread, the outbox's.
+    After the start only the outbox's thread uses it.
 
-    If a planner is killed before the executor gets the acknowledgement of a result, the next planner finds the mark. If
-    the ledger has the result, that planner does not publish it again; otherwise it tells clients that the result is
-    repeated. The file needs no fsync: it survives the death of the process, and a reboot deletes the executor's results
-    as well.
+    A planner may be killed before the executor gets the acknowledgement of a result. Then the next planner finds the
+    mark. If the ledger has the result, that planner does not publish it again; otherwise it tells clients that the
+    result is repeated. The file needs no fsync: it survives the death of the process, and a reboot deletes the
+    executor's results as well.
 
-    The file has at most twice MOST_MARKS lines. Lines that are torn, or are no marks, are ignored. Its folder is in
-    memory, and must exist.
+    The file has at most twice MOST_MARKS lines. Torn lines and other text are ignored. Its folder is in memory, and
+    must exist.
     """
 
     def __init__(self, path: Path) -> None:
@@ -190,7 +177,7 @@ class PublishedResults:
         self._marks = {Identity(*mark[:2]): mark for mark in map(decoded, content.splitlines()) if mark is not None}
 
     def known(self) -> dict[Identity, ResultEntry]:
-        """Returns the marked results by program; their times are not known."""
+        """Returns the marked results by program; their times are unknown."""
         return {identity: ResultEntry(0.0, *mark[2:]) for identity, mark in self._marks.items()}
 
     def add(self, identity: Identity, payload: Mapping[str, Any]) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hyperbit.controller.host.folders import state_folder
+from hyperbit.controller.host.keeper import set_aside
 from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Record
 
 log = logging.getLogger(__name__)
@@ -51,7 +52,7 @@ FORGOTTEN = "DELETE FROM goals WHERE number <= (SELECT max(number) FROM goals) -
 
 
 class Damaged(Exception):
-    """SQLite's check found the file damaged."""
+    pass
 
 
 class LedgerFile:
@@ -66,7 +67,7 @@ class LedgerFile:
     def write(self, records: Sequence[Record], counts: Sequence[int]) -> None:
         """Writes records and absolute counts in one transaction, or raises.
 
-        An acceptance that the file has, and a result of a goal that has ended, change nothing.
+        An acceptance that the file already has changes nothing; nor does a second result.
         """
         connection = self._opened()
         present = dict(zip(self._actuators, counts, strict=True))
@@ -89,14 +90,10 @@ class LedgerFile:
             self._connection = None
 
     def set_aside(self) -> str | None:
-        renamed = self._path.with_name(f"{self._path.name}.damaged-{time.time():.0f}")
         try:
-            for suffix in ("", "-wal", "-shm"):
-                if (part := Path(f"{self._path}{suffix}")).exists():
-                    part.rename(f"{renamed}{suffix}")
+            return set_aside(self._path, "-wal", "-shm")
         except OSError:
             return None
-        return renamed.name
 
     def _opened(self) -> sqlite3.Connection:
         """Returns the connection; opens it again if another process moved or deleted the file."""
@@ -134,7 +131,7 @@ def default_path(arm: str, *, simulated: bool = False) -> Path:
 
 
 def counted(path: Path) -> dict[str, int]:
-    """Returns the number of switches of each actuator so far; empty if the ledger is missing or cannot be read."""
+    """Returns the number of switches of each actuator; empty if the ledger is missing or unreadable."""
     if not path.exists():  # the first start
         return {}
     try:
@@ -145,7 +142,7 @@ def counted(path: Path) -> dict[str, int]:
 
 
 def owed(path: Path) -> dict[Identity, AcceptanceEntry]:
-    """Returns the newest thousand goals without a result, the oldest first; none if the ledger cannot be read.
+    """Returns the newest thousand goals without a result, the oldest first; none if the ledger is unreadable.
 
     Goals of earlier versions have no identity: no result can be found for them.
     """

@@ -1,4 +1,4 @@
-"""What the loop waits for: its inbox, and the connection to the executor, without threads and locks."""
+"""The loop's sources of events: its inbox, and the connection to the executor, without threads and locks."""
 
 import contextlib
 import os
@@ -14,7 +14,7 @@ from hyperbit.controller.program import MOST_BYTES, VERSION, Down, Goodbye, Hell
 
 RETRY = 0.5  # [s] between two attempts to connect, and after the end of a connection
 SEND_TIMEOUT = 0.2  # [s] that `send_now` waits for an executor that does not read
-MOST_BEHIND = 1.0  # [s] that a message waits in the queue
+MOST_BEHIND = 1.0  # [s], longest wait of a message in the queue
 MOST_QUEUED = 1_000  # messages in the queue
 MOST_RECEIVED = 256  # packets in one call, so that a flood of them does not block the loop
 UNREAD = "the executor does not read its messages"
@@ -23,7 +23,7 @@ UNREAD = "the executor does not read its messages"
 class Connection:
     """A connected socket, which is closed with the last reference.
 
-    A thread that sends holds a reference, so that the kernel cannot give the socket's number to another file meanwhile.
+    A sending thread holds a reference, so that the kernel cannot give the socket's number to another file meanwhile.
     """
 
     def __init__(self) -> None:
@@ -33,12 +33,17 @@ class Connection:
         """Sends one packet, which is atomic. For any thread. Raises BlockingIOError if the socket is full."""
         self.socket.send(data, socket.MSG_NOSIGNAL)
 
+    def wait_writable(self, timeout: float) -> None:
+        writable = select.poll()
+        writable.register(self.socket, select.POLLOUT)
+        writable.poll(timeout * 1000)
+
     def shut(self) -> None:
         with contextlib.suppress(OSError):
             self.socket.shutdown(socket.SHUT_RDWR)
 
     def __del__(self) -> None:
-        if hasattr(self, "socket"):  # else there were too many open files
+        if hasattr(self, "socket"):  # missing after an error for too many open files
             self.socket.close()
 
 
@@ -87,7 +92,7 @@ class ExecutorLink:
             self._connection = connection
 
     def close(self) -> None:
-        """Ends the connection without an event; messages that were sent can still be read."""
+        """Ends the connection without an event. Sent messages can still be read."""
         if self._connection is not None:
             self._connection.shut()
         self._connection = self._welcomed = None
@@ -98,10 +103,10 @@ class ExecutorLink:
         if self._connection is not None:
             self._report(reason)
             self.close()
-            self.retry_at = self._clock() + RETRY  # the executor first notices that this connection has ended
+            self.retry_at = self._clock() + RETRY  # the executor must first notice the end of this connection
 
     def receive(self) -> list[FromExecutor | LinkDown]:
-        """Returns what has happened since the last call; never waits."""
+        """Returns the events since the last call; never waits."""
         for _ in range(MOST_RECEIVED):
             if self._connection is None:
                 break
@@ -120,7 +125,7 @@ class ExecutorLink:
         return received
 
     def _accept(self, data: bytes) -> str | None:
-        """Accepts a packet; returns why the connection must end, if it must."""
+        """Handles a packet; returns why the connection must end, or None."""
         if not data:
             return "the executor closed the connection"
         try:
@@ -164,13 +169,13 @@ class ExecutorLink:
                 if len(self._queue) > MOST_QUEUED or self._clock() - self._queue[0][0] > MOST_BEHIND:
                     self.drop(UNREAD)
                 return
-            except OSError:  # `receive` finds the end, after the last messages
+            except OSError:  # `receive` detects the end, after the last messages
                 self._queue.clear()
                 return
             self._queue.popleft()
 
     def send_now(self, message: Down) -> str | None:
-        """Sends a message before all queued ones; returns why it was not sent, None if it was.
+        """Sends a message before all queued ones; returns why it was not sent, or None.
 
         For any thread; waits up to SEND_TIMEOUT for a full socket.
         """
@@ -182,9 +187,7 @@ class ExecutorLink:
             with contextlib.suppress(BlockingIOError):
                 connection.send(data)
                 return None
-            writable = select.poll()
-            writable.register(connection.socket, select.POLLOUT)
-            writable.poll(SEND_TIMEOUT * 1000)
+            connection.wait_writable(SEND_TIMEOUT)
             connection.send(data)
         except BlockingIOError:
             return UNREAD
@@ -200,7 +203,7 @@ class Inbox:
     """
 
     def __init__(self) -> None:
-        # Oldest first; only the reading thread removes events. Who appends here calls `wake` after that.
+        # Oldest first; only the reading thread removes events. A thread that appends here then calls `wake`.
         self.events: deque[Event] = deque()
         self._asleep = False  # whether the reading thread must be woken
         self._wakeups = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -217,7 +220,7 @@ class Inbox:
     def wake(self) -> None:
         """Wakes the reading thread if it sleeps, which releases the GIL. For any thread."""
         if self._asleep:
-            self._asleep = False  # before the wake-up: the reading thread then sets it again
+            self._asleep = False  # before the wake-up, after which the reading thread may set it again
             os.eventfd_write(self._wakeups, 1)
 
     def end_wait(self) -> None:
@@ -234,7 +237,7 @@ class Inbox:
             if number >= 0:
                 self._epoll.register(number, select.EPOLLIN | (select.EPOLLOUT if link.sending else 0))
             self._watched = (number, link.sending)
-        self._asleep = True  # before the look at `events`, so that no event is missed
+        self._asleep = True  # before `events` is tested, so that no event is missed
         ready = self._epoll.poll(0 if self.events else timeout)
         self._asleep = False
         return any(file == number for file, _ in ready)

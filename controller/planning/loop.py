@@ -26,13 +26,13 @@ log = logging.getLogger(__name__)
 
 WARNINGS_EVERY = 0.25  # [s]
 LOOK_EVERY = 0.02  # [s] between two looks into the mailboxes
-STREAM_EVERY = 0.005  # [s] the same while set-points come
-MOST_SENDERS = 16  # whose latest set-point or measured tip waits; one more displaces the oldest
+STREAM_EVERY = 0.005  # [s] between two looks while set-points come
+MOST_SENDERS = 16  # with a waiting set-point or measured tip; one more displaces the oldest
 STREAM_ENDS = 0.5  # [s] after its last set-point
 LAST_RESULTS = 1.5  # [s] for the core and the executor to end the running goal
 
 STILL = 1.0  # [s] without a round of the loop, after which the process counts as having stood still
-SETTLES = 1.0  # [s] in which what was sent meanwhile arrives
+SETTLES = 1.0  # [s] after a standstill, until all messages sent meanwhile have arrived
 
 OnReply = Callable[[events.Payload], None]
 
@@ -43,7 +43,7 @@ class Out(Protocol):  # no method waits
     def publish_result(self, result: events.PublishResult) -> None: ...  # notes it, and posts `Published`
 
 
-class Services(NamedTuple):  # what the planner needs from its process
+class Services(NamedTuple):  # services of the process for the planner
     inbox: Inbox  # event queue; ledger, outbox and workers post to it
     ledger: Ledger
     published: PublishedResults
@@ -54,14 +54,14 @@ class Services(NamedTuple):  # what the planner needs from its process
 
 
 class Mailbox:
-    """The latest set-point or measured tip of each sender. For any thread."""
+    """The latest set-point or measured tip of each sender. Thread-safe."""
 
     def __init__(self, kind: type[events.Arrived]) -> None:
         self._kind = kind
         self._latest: dict[str, events.Arrived] = {}
 
     def put(self, payload: bytes, arrival: events.Arrival, sender: str) -> None:
-        """Replaces what waits of a sender, or of the oldest sender if there are too many."""
+        """Replaces the waiting payload of a sender. Above the limit, drops that of the oldest sender."""
         if len(self._latest) >= MOST_SENDERS and sender not in self._latest:
             self._latest.pop(next(iter(self._latest)), None)
         if (waiting := self._latest.get(sender)) is not None:
@@ -75,14 +75,14 @@ class Mailbox:
 
 
 class PlannerFailed(Exception):
-    """The core wants the process to end."""
+    pass
 
 
 class Loop:
-    """Runs the core. For any thread.
+    """Runs the core. Thread-safe.
 
-    An exception of the core ends the process, because its state may be wrong then. An exception in carrying out an
-    action is logged, and the next action follows. The link is closed with this object.
+    An exception of the core ends the process, because its state may be wrong then. An exception in an action is logged,
+    and the next action follows. The link is closed with this object.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Loop:
         recorder: FlightRecorder | None = None,
         clocks: tuple[Callable[[], float], Callable[[], float]] = (time.monotonic, time.time),
     ) -> None:
-        # Whether the core has ended and the executor has got all messages, or the loop does not run.
+        # Set when the core has ended and the executor has all messages, or the loop does not run.
         self.ended = threading.Event()
         self.ended.set()
         self._core, self._inbox, self._link = core, services.inbox, link
@@ -102,7 +102,7 @@ class Loop:
         self._recorder, (self._clock, self._wall) = recorder, clocks
         self._numbers = itertools.count(1)  # of arrivals
         self._alive_at = self._clock()  # time of the last round [s]
-        self._stood_still = (-math.inf, -math.inf)  # since when, and until when requests of that time may arrive [s]
+        self._stood_still = (-math.inf, -math.inf)  # begin of a standstill, end of its requests' arrival [s]
         self._replies: dict[int, OnReply] = {}
         self.setpoints, self.tips = Mailbox(events.SetpointArrived), Mailbox(events.TipArrived)
         self._look_at, self._stream_until = 0.0, -math.inf  # time of the next look into them [s]
@@ -136,7 +136,7 @@ class Loop:
         return events.Arrival(next(self._numbers), since if now < until else now)
 
     def _note_alive(self) -> float:
-        """Returns the time, and notes whether the process stood still until now [s]."""
+        """Returns the time; records whether the process stood still until now [s]."""
         now = self._clock()
         if now - self._alive_at > STILL:
             self._stood_still = self._alive_at, now + SETTLES
@@ -170,7 +170,7 @@ class Loop:
                 self._round()
         except PlannerFailed as failure:
             self._services.fatal(str(failure))
-        except BaseException as error:  # SystemExit too, which would end the thread without a word
+        except BaseException as error:  # also SystemExit, which would end the thread silently
             log.critical("the planner failed", exc_info=True)
             self._services.fatal(f"the planner failed: {error!r}")
         finally:
@@ -179,8 +179,8 @@ class Loop:
     def _round(self) -> None:
         """Waits for events and handles them.
 
-        After the link was read, the posted events come before its messages: a request is posted before its stop is sent
-        to the executor, so that the core knows the request when the executor's answer comes.
+        Posted events come before the link's messages. A request is posted before its stop is sent to the executor. So
+        the core knows the request when the executor's answer comes.
         """
         due = min(self._wake, self._warnings_at, self._look_at)
         if self._link.fileno() < 0:
@@ -203,12 +203,12 @@ class Loop:
     def _handle_posted(self) -> None:
         for _ in range(len(self._inbox.events)):
             event = self._inbox.events.popleft()
-            if isinstance(event, events.Request):  # set-points that wait may have arrived before
+            if isinstance(event, events.Request):  # waiting set-points may have arrived earlier
                 self._look(self._clock())
             self._step(event)
 
     def _look(self, now: float) -> None:
-        """Handles what the mailboxes have received."""
+        """Handles the contents of the mailboxes."""
         setpoints, tips = self.setpoints.take(), self.tips.take()
         if setpoints:
             self._stream_until = now + STREAM_ENDS
@@ -237,7 +237,7 @@ class Loop:
     # --- the core
 
     def _step(self, event: events.Event) -> None:
-        """Passes an event to the core and carries out the actions; raises what the core raises, and PlannerFailed."""
+        """Passes an event to the core and carries out the actions. Raises the core's exceptions, and PlannerFailed."""
         now, wall = self._clock(), self._wall()
         actions: Sequence[events.Action] | None = None
         try:
@@ -253,7 +253,7 @@ class Loop:
             return
         try:
             self._recorder(event, now, wall, actions)
-            if isinstance(event, events.Tick):  # not after each step, because a worker may wait for the GIL then
+            if isinstance(event, events.Tick):  # not after each step: a worker may wait for the GIL
                 self._recorder.flush()
         except Exception:
             self._recorder = None

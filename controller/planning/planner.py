@@ -33,7 +33,7 @@ class Planner:  # for any thread
         self._arm, self._densities, self._description = arm, densities, description(arm)
 
     def description(self, wanted: Collection[str] = ()) -> events.Payload:
-        """Returns the parts of the payload of `arm` that do not change, with those `wanted`: drawing, file, density."""
+        """Returns the constant parts of the payload of `arm`, with those `wanted`: drawing, file, density."""
         made: dict[str, Callable[[], events.Payload | None]] = {
             "drawing": lambda: drawing(self._arm),
             "file": lambda: file(self._arm),
@@ -52,7 +52,7 @@ def planning(
     *,
     simulated: bool = False,
 ) -> Iterator[Planner]:
-    """A planner with its core and workers; at the end goals end, and all are closed.
+    """Yields a planner with its core and workers; at the end goals end, and all parts close.
 
     `arm` has its wiring, `densities` are of the arm reduced by locked actuators. If `simulated`, the executor simulates
     the boards.
@@ -80,24 +80,20 @@ class _NamedGoal(msgspec.Struct):  # the payload of a `cancel`; other fields are
 
 
 class RequestDecoder:
-    """Decodes the requests for one arm. For any thread."""
+    """Decodes the requests for one arm. Thread-safe."""
 
     def __init__(self, arm: Arm) -> None:
         manipulator, tracker = arm.manipulator, arm.settings.tracker
         self.tracker = tracker is not None  # whether measured tips are accepted
         self._actuators, self._dimension = manipulator.actuators, manipulator.dimension
         self._base = manipulator.base[: manipulator.dimension, 3].tolist()
-        self._farthest = manipulator.length + (tracker.clamp if tracker else 0.0)  # of a tip from the base
+        self._farthest = manipulator.length + (tracker.clamp if tracker else 0.0)  # greatest distance of a tip
         self._tolerance = arm.tolerance
 
     def decode(self, key: events.Key, payload: bytes) -> events.Message:
-        """Returns the content of a request with any payload, in microseconds; None for keys without a content.
-
-        Raises:
-            Refusal: the payload is invalid; the message names the field. No other exception is raised.
-        """
+        """Decodes any payload in microseconds; None for keys without a content. Raises only Refusal."""
         match key:
-            case "goal" | "plan":  # positions beyond the arm's length are refused here, without a search
+            case "goal" | "plan":  # refuses positions beyond the arm's length without a search
                 goal = parse(payload)
                 check_reach(goal, self._base, self._farthest, self._tolerance)
                 return goal
@@ -117,9 +113,9 @@ class RequestDecoder:
 
 
 def decode_cancel(payload: bytes) -> events.CancelMessage:
-    """Returns the content of a `cancel`: the goal that {"id": ...} names; raises Refusal if that is no id.
+    """Returns the content of a `cancel`: the goal of {"id": ...}. Raises Refusal for an invalid id.
 
-    A payload without an `id` cancels whatever runs, because such a cancel must not fail for its form.
+    A payload without an `id` cancels everything, because such a cancel must not fail for its form.
     """
     try:
         return events.CancelMessage(msgspec.json.decode(payload, type=_NamedGoal).id)

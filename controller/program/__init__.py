@@ -124,20 +124,12 @@ class Malformed(ValueError):
 
 
 def decode_down(data: bytes) -> Down:
-    """Returns the message of a client.
-
-    Raises:
-        Malformed: the packet is not a message.
-    """
+    """Decodes a client's message. Raises Malformed if the packet is not a message."""
     return _decoded(_down, data)
 
 
 def decode_up(data: bytes) -> Up:
-    """Returns the message of the executor.
-
-    Raises:
-        Malformed: the packet is not a message.
-    """
+    """Decodes the executor's message. Raises Malformed if the packet is not a message."""
     return _decoded(_up, data)
 
 

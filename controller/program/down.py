@@ -34,34 +34,26 @@ class Program(Message, frozen=True, tag="program"):
     No stage switches a locked actuator. Before the first stage the executor sets the output of each locked actuator to
     its locked state, in stages of its own. The actuator then stays in place if it comes loose.
 
-    Attributes:
-        program: its number, greater than the numbers of all earlier programs.
-        epoch: the executor's epoch when the goal arrived; a program of an older epoch is declined.
-        start: packed outputs from which the stages were planned; if the outputs differ, the program is declined.
-        begin: its zero of time [s]; 0 means now.
-        stages: the first stages.
-        final: whether these are all stages; the others come as `Replacement`. While the program waits for others, the
-            arm holds. After 10 s without others the program is aborted; replacements without stages do not count.
-        strict: no stage may be skipped, or begin before the one before has settled.
-        name: for sentences, e.g. "goal a1".
-        context: opaque; comes back with the result, so that a restarted planner can publish it.
-        until: a program that the executor takes after this time is declined, because its client no longer waits [s].
-        homed: packed mask. Actuators of unknown state in the mask are switched to their state of the last stage before
-            the first stage; no others are homed. Empty: all are homed to their state of `start`. Nothing is homed
-            while a program that is not `final` has no stages.
+    A program that is not `final` gets further stages by `Replacement`. While it waits for them, the arm holds. After 10
+    s without further stages the program is aborted; replacements without stages do not count.
+
+    Before the first stage, actuators of unknown state in `homed` are switched to their state of the last stage; no
+    others are homed. If `homed` is empty, all are homed to their state of `start`. Nothing is homed while a program
+    that is not `final` has no stages.
     """
 
-    program: Number
-    epoch: Number
-    start: States
-    begin: Seconds
+    program: Number  # greater than the numbers of all earlier programs
+    epoch: Number  # the executor's when the goal arrived; a program of an older epoch is declined
+    start: States  # packed outputs from which the stages were planned; must match the present ones
+    begin: Seconds  # zero of its time [s]; 0: now
     stages: Stages
     final: bool
-    strict: bool
-    name: Text
+    strict: bool  # no stage is skipped, or begins before the previous one has settled
+    name: Text  # for sentences, e.g. "goal a1"
+    # opaque; comes back with the result, so that a restarted planner can publish it
     context: Annotated[bytes, Meta(max_length=8_192)] = b""
-    homed: States = b""
-    until: Seconds = 1e12
+    homed: States = b""  # packed mask
+    until: Seconds = 1e12  # later it is declined, because its client no longer waits [s]
 
 
 class Replacement(Message, frozen=True, tag="replacement"):
@@ -71,44 +63,29 @@ class Replacement(Message, frozen=True, tag="replacement"):
     makes the answer to an earlier `Question` invalid; the executor asks again.
 
     A replacement without stages that is not `final` parks the program: the arm holds at stage `first` - 1, and later
-    replacements append from `first` on. A program can be parked as long as its result has not been sent, also after
-    its last stage has begun.
-
-    Attributes:
-        generation: greater than that of all earlier replacements of this program.
-        first: index of the first replaced stage; the number of stages so far appends.
-        strict: makes the program strict from now on; a strict program stays strict.
+    replacements append from `first` on. A program can be parked as long as its result has not been sent, also after its
+    last stage has begun.
     """
 
     program: Number
-    generation: Number
-    first: Number
+    generation: Number  # greater than that of all earlier replacements of this program
+    first: Number  # index of the first replaced stage; the number of stages so far appends
     start: States
     stages: Stages
     final: bool
-    strict: bool = False
+    strict: bool = False  # from now on; a strict program stays strict
 
 
 class Setpoint(Message, frozen=True, tag="setpoint"):
-    """The stages for a followed set-point, valid until the next message; no answer.
+    """The stages for a followed set-point, valid until the next message; no answer."""
 
-    Attributes:
-        stream: number of the stream of set-points; greater than the numbers of all earlier streams.
-        epoch: the executor's epoch when the stream began; a stream of an older epoch is not followed.
-        start: packed outputs from which the stages were planned; if the outputs differ, the stages are ignored.
-        stages: packed states after each stage; empty: stay.
-        until: time at which the stream ends unless another message comes [s].
-        strict: as for a program.
-        reason: a sentence for `state`.
-    """
-
-    stream: Number
-    epoch: Number
-    start: States
-    stages: Annotated[tuple[States, ...], Meta(max_length=MOST_STAGES)]
-    until: Seconds
-    strict: bool
-    reason: Text
+    stream: Number  # greater than the numbers of all earlier streams
+    epoch: Number  # the executor's when the stream began; a stream of an older epoch is not followed
+    start: States  # packed outputs from which the stages were planned; if they differ, the stages are ignored
+    stages: Annotated[tuple[States, ...], Meta(max_length=MOST_STAGES)]  # packed states after each stage; empty: stay
+    until: Seconds  # the stream ends then unless another message comes [s]
+    strict: bool  # as for a program
+    reason: Text  # a sentence for `state`
 
 
 class Clearance(Message, frozen=True, tag="clearance"):
@@ -122,17 +99,11 @@ class Clearance(Message, frozen=True, tag="clearance"):
 
 
 class Cancel(Message, frozen=True, tag="cancel"):
-    """Hold after the present stage. Answered by `Answer`.
+    """Hold after the present stage. Answered by `Answer`."""
 
-    Attributes:
-        request: number for the answer. It need not be unique, also in other requests; 0 is a number like any other.
-        program: cancel this program only; None: cancel any program or stream, and begin a new epoch.
-        reason: a sentence for the result.
-    """
-
-    request: Number
-    program: Number | None
-    reason: Text
+    request: Number  # number for the answer, in each request; it need not be unique
+    program: Number | None  # cancel this program only; None: cancel any program or stream, and begin a new epoch
+    reason: Text  # a sentence for the result
 
 
 class Stop(Message, frozen=True, tag="stop"):
@@ -142,13 +113,10 @@ class Stop(Message, frozen=True, tag="stop"):
 
 
 class Reset(Message, frozen=True, tag="reset"):
-    """Leave a fault or a stop. Answered by `Answer`; refused if a stop, cancel or fault came after it.
-
-    `epoch`: the executor's epoch when the request arrived.
-    """
+    """Leave a fault or a stop. Answered by `Answer`; refused if a stop, cancel or fault came after it."""
 
     request: Number
-    epoch: Number
+    epoch: Number  # the executor's when the request arrived
 
 
 class Lock(Message, frozen=True, tag="lock"):

@@ -27,33 +27,20 @@ class Message(msgspec.Struct, frozen=True, tag=True, array_like=True, forbid_unk
 
 
 class Stage(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """Actuators that switch together.
+    """Actuators that switch together. Times count from the program's `begin`."""
 
-    Attributes:
-        states: packed actuator states at its end.
-        at: when it may begin, after the program's `begin` [s].
-        mark: the planner's number for the point that this stage reaches; -1 if it reaches none.
-        settled: the mark counts as settled at this time at the earliest, after the program's `begin` [s].
-    """
-
-    states: States
-    at: Seconds
-    mark: Index = -1
-    settled: Seconds = 0.0
+    states: States  # packed actuator states at its end
+    at: Seconds  # earliest begin [s]
+    mark: Index = -1  # the planner's number for the point that this stage reaches; -1: none
+    settled: Seconds = 0.0  # earliest time at which the mark counts as settled [s]
 
 
 class Travel(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """A measured travel of an actuator to one of its ends.
+    """A measured travel of an actuator to one of its ends."""
 
-    Attributes:
-        actuator: index.
-        state: of the end, 0 contracted or 1 extended.
-        seconds: from the SYNC that switched the actuator to the frame that reported its end-stop [s].
-    """
-
-    actuator: Annotated[int, Meta(ge=0, lt=MOST_ACTUATORS)]
-    state: Annotated[int, Meta(ge=0, le=1)]
-    seconds: Seconds
+    actuator: Annotated[int, Meta(ge=0, lt=MOST_ACTUATORS)]  # index
+    state: Annotated[int, Meta(ge=0, le=1)]  # of the end, 0 contracted or 1 extended
+    seconds: Seconds  # from the SYNC that switched it to its end-stop's frame
 
 
 Stages = Annotated[tuple[Stage, ...], Meta(max_length=MOST_STAGES)]

@@ -10,23 +10,16 @@ from hyperbit.controller.refusals.refusal import Refused
 
 
 class FaultVerb(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """A verb of `PlayFault`.
+    """A verb of `PlayFault`."""
 
-    Attributes:
-        verb: the first word.
-        target: what the second word names.
-        argument: name of the third word; in brackets if it may be left out, "" if there is none.
-        text: what the verb does.
-    """
-
-    verb: Text
-    target: Literal["actuator", "board", "bus", "interlock"]
-    argument: Text
-    text: Text
+    verb: Text  # the first word
+    target: Literal["actuator", "board", "bus", "interlock"]  # kind of the second word
+    argument: Text  # name of the third word; in brackets if it is optional, "" if there is none
+    text: Text  # what the verb does
 
 
 class PlayableFaults(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """Simulated boards: the faults that can be played in them, and the names that these faults need."""
+    """Simulated boards: their playable faults, and the names that these faults need."""
 
     faults: tuple[FaultVerb, ...]
     boards: tuple[Text, ...]
@@ -35,23 +28,15 @@ class PlayableFaults(msgspec.Struct, frozen=True, array_like=True, forbid_unknow
 
 
 class Welcome(Message, frozen=True, tag="welcome"):
-    """The answer to `Hello`.
-
-    Attributes:
-        digest: SHA-256 of the arm's file, in hexadecimal; a planner with another file must not use this executor.
-        instance: random number of this executor process.
-        counts: switches of each actuator so far.
-        program: the greatest number of a program or stream so far; a planner continues from here.
-        simulation: the simulated boards of this process; None: the executor commands boards on CAN buses.
-    """
+    """The answer to `Hello`."""
 
     version: int
     arm: Text
-    digest: Text
-    instance: Number
-    counts: tuple[Number, ...]
-    program: Number
-    simulation: PlayableFaults | None = None
+    digest: Text  # SHA-256 of the arm's file, in hexadecimal; a planner needs the same file
+    instance: Number  # random number of this executor process
+    counts: tuple[Number, ...]  # switches of each actuator so far
+    program: Number  # the greatest number of a program or stream so far; a planner continues from here
+    simulation: PlayableFaults | None = None  # None: the executor commands boards on CAN buses
 
 
 class Goodbye(Message, frozen=True, tag="goodbye"):
@@ -69,7 +54,6 @@ class Answer(Message, frozen=True, tag="answer"):
 
     @property
     def accepted(self) -> bool:
-        """Whether the request is carried out."""
         return self.refused is None
 
 
@@ -109,49 +93,32 @@ class Begun(Message, frozen=True, tag="begun"):
 class Settled(Message, frozen=True, tag="settled"):
     """A mark of a program has settled; each is reported once.
 
-    Marks are not reported if they were skipped because they were late, or if the next stage began before they settled.
-
-    Attributes:
-        measured, known: packed states, and 1 where the state is known.
-        switches: actuators switched by the program so far.
-        stages: stages carried out since the mark before.
-        planned: whether all planned stages since the mark before were carried out.
+    A mark that was skipped as late is not reported; nor is one that had not settled when the next stage began.
     """
 
     program: Number
     mark: Index
     measured: States
-    known: States
-    switches: Number
-    stages: Number
-    planned: bool
+    known: States  # 1 where the measured state is known
+    switches: Number  # actuators switched by the program so far
+    stages: Number  # carried out since the previous mark
+    planned: bool  # all planned stages since the previous mark were carried out
 
 
 class Ended(Message, frozen=True, tag="ended"):
-    """The one result of a program; it is sent to each new planner until it is acknowledged.
+    """The one result of a program; it is sent to each new planner until it is acknowledged."""
 
-    Attributes:
-        result: its number, for `Acknowledge`.
-        context: of the program.
-        status: "done" if the last mark has settled.
-        message: a sentence on the reason.
-        mark: the last mark reached, -1 if none.
-        measured, known: packed states, and 1 where the state is known.
-        travels: the first MOST_TRAVELS measured travels.
-        verified: whether end-stops or outputs, read back, have told of each switch; else the arm's file forgoes it.
-    """
-
-    result: Number
+    result: Number  # number for `Acknowledge`
     program: Number
-    context: bytes
-    status: Literal["done", "canceled", "replaced", "aborted"]
-    message: Text
-    mark: Index
+    context: bytes  # of the program
+    status: Literal["done", "canceled", "replaced", "aborted"]  # "done" if the last mark has settled
+    message: Text  # a sentence on the reason
+    mark: Index  # the last one reached, -1: none
     switches: Number
     measured: States
-    known: States
-    travels: Annotated[tuple[Travel, ...], Meta(max_length=MOST_TRAVELS)] = ()
-    verified: bool = True
+    known: States  # 1 where the measured state is known
+    travels: Annotated[tuple[Travel, ...], Meta(max_length=MOST_TRAVELS)] = ()  # the first MOST_TRAVELS
+    verified: bool = True  # end-stops or read-back outputs have confirmed each switch, unless the arm's file forgoes it
 
 
 class Counted(Message, frozen=True, tag="counted"):
@@ -161,7 +128,7 @@ class Counted(Message, frozen=True, tag="counted"):
 
 
 class Question(Message, frozen=True, tag="question"):
-    """Asks what a stage collides with, from states for which it was not planned; the arm holds until `Clearance`."""
+    """Asks with what a stage collides from states for which it was not planned; the arm holds until `Clearance`."""
 
     question: Number
     start: States
@@ -177,71 +144,40 @@ class Fault(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
 
 class Snapshot(Message, frozen=True, tag="snapshot"):
-    """The state of the executor, 20 times a second and on each change.
-
-    Attributes:
-        at: its time [s].
-        reason: a sentence on the mode.
-        epoch: a number that grows with each cancel, stop, reset, fault, boot, change of locks, and loss of the planner.
-            A cancel of one program begins no epoch.
-        outputs: packed outputs of the boards, as last switched.
-        measured: packed states from end-stops, otherwise from outputs.
-        known: packed, 1 where the measured state is known; outputs count as known only if all boards are up.
-        sensed: packed, 1 where there is an end-stop.
-        locked: packed, 1 where the actuator is locked.
-        locks: number that grows with each change of `locked`.
-        moving: whether an actuator may be travelling. Of travels that began before the end of a boot, `free_at` tells.
-        free_at: time at which the last stage has settled, by travel time [s].
-        program: number of the running program, -1 if none.
-        mark: its last mark reached, -1 if none.
-        stream: number of the followed stream, -1 if none.
-        faults: active faults and warnings.
-        homing: packed, 1 where the state is unknown until the next program homes the actuator; `outputs` has a guess.
-        unread: packed, 1 where the actuator was switched, and neither an end-stop nor its output, read back, has told.
-    """
+    """The state of the executor, 20 times a second and on each change. `States` are packed."""
 
     at: Seconds
     mode: Mode
-    reason: Text
-    epoch: Number
-    outputs: States
-    measured: States
-    known: States
-    sensed: States
-    locked: States
-    locks: Number
-    moving: bool
-    free_at: Seconds
-    program: Annotated[int, Meta(ge=-1)]
-    mark: Index
-    stream: Annotated[int, Meta(ge=-1)]
-    faults: Annotated[tuple[Fault, ...], Meta(max_length=100)]
+    reason: Text  # a sentence on the mode
+    epoch: Number  # grows with each cancel of all, stop, reset, fault, boot, change of locks, and loss of the planner
+    outputs: States  # of the boards, as last switched
+    measured: States  # states from end-stops, otherwise from outputs
+    known: States  # 1 where the measured state is known; outputs count as known only if all boards are up
+    sensed: States  # 1 where there is an end-stop
+    locked: States  # 1 where the actuator is locked
+    locks: Number  # grows with each change of `locked`
+    moving: bool  # an actuator may be travelling; for travels that began before the end of a boot see `free_at`
+    free_at: Seconds  # time at which the last stage has settled, by travel time [s]
+    program: Annotated[int, Meta(ge=-1)]  # number of the running one, -1: none
+    mark: Index  # its last mark reached, -1: none
+    stream: Annotated[int, Meta(ge=-1)]  # number of the followed one, -1: none
+    faults: Annotated[tuple[Fault, ...], Meta(max_length=100)]  # active faults and warnings
+    # 1 where the state is unknown until the next program homes the actuator; `outputs` has a guess
     homing: States = b""
-    unread: States = b""
+    unread: States = b""  # 1 where neither an end-stop nor the read-back output has confirmed the last switch
 
 
 class Diagnostics(Message, frozen=True, tag="diagnostics"):
-    """Health of loop, buses and boards, once a second.
-
-    Attributes:
-        at: its time [s].
-        loop: ticks, longest_period, mean_work, longest_work, overruns of the last second, and lateness.
-        buses: one mapping for each bus, fields of BusStatus.
-        boards: one mapping for each board, fields of BoardStatus.
-        real_time: "off", "on", or a sentence on what is missing.
-        counts: switches of each actuator so far.
-        waits: periods in which the arm held because a clearance was not known.
-        dropped: snapshots that were dropped because the socket was full.
-    """
+    """Health of loop, buses and boards, once a second."""
 
     at: Seconds
-    loop: dict[str, float]
-    buses: list[dict[str, str | int | float | dict[str, float]]]
-    boards: list[dict[str, str | int | float | None]]
-    real_time: Text
-    counts: tuple[Number, ...]
-    waits: Number
-    dropped: Number
+    loop: dict[str, float]  # ticks, longest_period, mean_work, longest_work, overruns of the last second, and lateness
+    buses: list[dict[str, str | int | float | dict[str, float]]]  # fields of BusStatus
+    boards: list[dict[str, str | int | float | None]]  # fields of BoardStatus
+    real_time: Text  # "off", "on", or a sentence on what is missing
+    counts: tuple[Number, ...]  # switches of each actuator so far
+    waits: Number  # periods in which the arm held because a clearance was not known
+    dropped: Number  # snapshots, because the socket was full
 
 
 Up = (

@@ -1,21 +1,17 @@
 """The folder of an arm's recordings: names, lock against a second recorder, repair, deletion of the oldest."""
 
-import fcntl
 import logging
 import os
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
+from hyperbit.controller.host.keeper import lock_file
 from hyperbit.controller.recorder.repair import repair, unfinished
 
 log = logging.getLogger(__name__)
 
 CAN_LOG = ".candump"  # suffix of the frames beside a recording
-
-
-class FolderInUse(Exception):
-    """Another recorder writes this arm's recordings into the folder."""
 
 
 class Folder:
@@ -27,19 +23,15 @@ class Folder:
         keep: most bytes of all recordings; the oldest are deleted beyond it. None: no limit.
 
     Raises:
-        FolderInUse: another recorder writes this arm's recordings into the folder.
+        FileInUse: another recorder writes this arm's recordings into the folder.
         OSError: the folder cannot be written.
     """
 
     def __init__(self, path: Path, arm: str, keep: int | None = None) -> None:
         self._path, self._arm, self._keep = path, arm, keep
         path.mkdir(parents=True, exist_ok=True)
-        self._lock = os.open(path / f".{arm}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(self._lock)
-            raise FolderInUse(f"another recorder writes the arm {arm!r} into {path}: end it, or use --folder") from None
+        used = f"end the other recorder of the arm {arm!r}, or use another --folder: {path} is in use by process"
+        self._lock = lock_file(path / f".{arm}.lock", used)
         self._repair()
 
     def close(self) -> None:

@@ -69,7 +69,7 @@ class Refused(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
 
 
 class NamedFacts(dict[str, str]):
-    """Facts; one that is missing is its name in braces."""
+    """Facts for `str.format_map`; a missing fact becomes its name in braces."""
 
     def __missing__(self, name: str) -> str:
         return f"{{{name}}}"

@@ -1,4 +1,4 @@
-"""What the daemon sends, strictly decoded: whoever is on its keys may send anything."""
+"""Forms of the daemon's messages. Decoding is strict: any Zenoh client may publish on the daemon's keys."""
 
 import contextlib
 from collections.abc import Callable, Mapping
@@ -19,51 +19,39 @@ ActuatorState = Annotated[int, Meta(ge=0, le=1)]
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """An answer to `goal`, `stop`, `reset` or `cancel`.
-
-    Attributes:
-        accepted: whether the request is carried out.
-        code: of FollowJointTrajectory.
-        message: a sentence.
-        reason: of a refusal.
-    """
+    """An answer to `goal`, `stop`, `reset` or `cancel`."""
 
     accepted: bool
-    code: Code = 0
+    code: Code = 0  # of FollowJointTrajectory
     message: str = ""
-    reason: str | None = None
+    reason: str | None = None  # of a refusal
 
     def __post_init__(self) -> None:
-        """Checks the texts; they may come from JSON with half characters, which no message of ROS 2 can hold."""
+        """Raises UnicodeEncodeError if a text has a lone surrogate, which no ROS 2 string can hold."""
         self.text.encode()
 
     @property
     def text(self) -> str:
-        """The sentence, with the reason of a refusal."""
         return f"{self.message} ({self.reason})" if self.reason else self.message
 
 
 class TipPose(msgspec.Struct, frozen=True):
-    """A pose of the tip, in a state or at a waypoint of a plan."""
-
     position: Position
     orientation: Orientation | None = None
 
 
 class PlanAnswer(Answer, frozen=True):
-    """An answer to `plan`."""
-
     waypoints: list[TipPose] = []
 
 
 class ArmAnswer(msgspec.Struct, frozen=True):
-    """What of an answer to `arm` is needed here: `travel_time` of the actuators [s]."""
+    """Fields that the bridge uses of an answer to `arm`."""
 
-    travel_time: Annotated[float, Meta(ge=0, le=3600)]
+    travel_time: Annotated[float, Meta(ge=0, le=3600)]  # of the actuators [s]
 
 
 class GoalResult(msgspec.Struct, frozen=True):
-    """How a goal ended: a message on `result`, or what the daemon's ledger has."""
+    """The end of a goal: a message on `result`, or an entry of the daemon's ledger."""
 
     status: str
     code: Code | None = None
@@ -71,27 +59,24 @@ class GoalResult(msgspec.Struct, frozen=True):
     id: str = ""
 
     def __post_init__(self) -> None:
-        """Checks the texts as those of an answer."""
         (self.status + self.message).encode()
 
 
 class Fault(msgspec.Struct, frozen=True):
-    """A fault in a state."""
-
     code: str
     source: str
     message: str
 
 
 class Target(msgspec.Struct, frozen=True):
-    """Where the arm is to be; a configuration has no position."""
+    """Where the arm is to be. `position` is None if the target is a configuration."""
 
     position: Position | None = None
     orientation: Orientation | None = None
 
 
 class State(msgspec.Struct, frozen=True):
-    """What of a `state` is published; a message that is none is not."""
+    """The fields of a `state` that the bridge publishes. A message without them is not published."""
 
     stamp: Annotated[float, Meta(ge=0, lt=2**31)]
     mode: str
@@ -105,18 +90,17 @@ class State(msgspec.Struct, frozen=True):
 
 
 class SetpointCounts(msgspec.Struct, frozen=True):
-    """What of the counts of set-points in `diagnostics` is told."""
+    """The fields of the counts of set-points in `diagnostics` that the bridge reports."""
 
     refused: Annotated[int, Meta(ge=0)] = 0
     last_refusal: str | None = None
 
     def __post_init__(self) -> None:
-        """Checks the text as those of an answer."""
         (self.last_refusal or "").encode()
 
 
 class LedgerAnswer(msgspec.Struct, frozen=True):
-    """An answer to `result`: the result is None while the goal runs, and if it is unknown, as `reason` tells."""
+    """An answer to `result`. `result` is None while the goal runs, and for an unknown goal; then `reason` says so."""
 
     result: GoalResult | None = None
     reason: str | None = None
@@ -134,18 +118,10 @@ def request(
     sending: Sending = contextlib.nullcontext,
     timeout: float = TIMEOUT,
 ) -> Form:
-    """Sends a request to the daemon and returns its answer.
+    """Sends a request to the daemon and returns its answer, of the class `form`.
 
-    Args:
-        client: of the daemon.
-        form: of the answer.
-        key: such as goal.
-        payload: of the request.
-        sending: entered while the request is sent.
-        timeout: longest time to wait [s].
-
-    Raises:
-        Unanswered: no answer came in time, or it has another form.
+    Raises Unanswered if no answer of this form came within `timeout` [s]. `sending` is entered while the request is
+    sent.
     """
     try:
         return msgspec.convert(client.request(key, payload, timeout, sending), form)

@@ -1,4 +1,4 @@
-"""The arm as one node of ROS 2: what it publishes, what it subscribes to, its services and its two actions."""
+"""The arm as one ROS 2 node: its publishers, subscribers, services and two actions."""
 
 import contextlib
 import math
@@ -28,45 +28,26 @@ from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.session import Session
 
 ROSOUT = qos.Qos(durability=qos.Durability.TRANSIENT_LOCAL, depth=1000)
-SAME = ("name", "frames", "base", "actuators", "dimension", "version")  # of descriptions that are of one node
+SAME = ("name", "frames", "base", "actuators", "dimension", "version")  # fields that identify the node's arm
 MOST_SAID = 20  # sentences on /rosout in a second
-MOST_LETTERS = 1000  # of a sentence: it may quote what came from the network
+MOST_LETTERS = 1000  # of a sentence, which may quote a message from the network
 ODD = re.compile(r"[^A-Za-z0-9_]")
 
 
 class Settings(NamedTuple):
-    """Settings of the node.
+    """Settings of the node."""
 
-    Attributes:
-        namespace: absolute; "" is the arm's name.
-        domain: ROS_DOMAIN_ID.
-        distro: jazzy, kilted or lyrical.
-        world: name of the world's frame.
-        oriented: whether the orientation of `goal_pose` and `goal_path` counts.
-    """
-
-    namespace: str
-    domain: int
-    distro: str
-    world: str
-    oriented: bool
+    namespace: str  # absolute; "" is the arm's name
+    domain: int  # ROS_DOMAIN_ID
+    distro: str  # jazzy, kilted or lyrical
+    world: str  # name of the world's frame
+    oriented: bool  # whether `goal_pose` and `goal_path` set an orientation
 
 
 class ArmNode:
-    """The node of one arm.
+    """The node of one arm. `arm` is the daemon's description, with its `drawing`.
 
-    Attributes:
-        name: absolute name of the node.
-
-    Args:
-        session: of ROS 2's network.
-        client: of the daemon.
-        arm: the daemon's description, with its `drawing`.
-        book: file of the goals of action clients.
-        settings: of the node.
-
-    Raises:
-        LookupError, TypeError, ValueError: the description has another form, or a name is not allowed.
+    Raises LookupError, TypeError or ValueError if the description has another form, or a name is not allowed.
     """
 
     def __init__(
@@ -84,7 +65,7 @@ class ArmNode:
         self.name = f"{self._namespace.rstrip('/')}/{self._node_name}"
         self._state: Mapping[str, Any] = {}
         self._alive = True
-        self._refused: int | None = None  # set-points that the daemon had refused when it was asked last
+        self._refused: int | None = None  # number of set-points that the daemon had refused at the last question
         self._faults: dict[tuple[str, str], str] = {}
         self._dropped: dict[str, Counter[str]] = {}
         self._said, self._unsaid = deque[float](maxlen=MOST_SAID), 0
@@ -93,11 +74,7 @@ class ArmNode:
         self._markers = messages.Markers(self._scene, str(arm["name"]), self._manipulator.length, self._world)
 
     def open(self) -> None:
-        """Declares the node, publishes what does not change, and accepts requests from now on.
-
-        Raises:
-            zenoh.ZError: the session is closed. Nothing of the node is left.
-        """
+        """Declares the node, publishes constant messages, accepts requests. A zenoh.ZError leaves nothing open."""
         settings = self._settings
         with contextlib.ExitStack() as undoing:
             self._node = Node(self._session, self._node_name, self._namespace, settings.domain, settings.distro)
@@ -126,33 +103,26 @@ class ArmNode:
         self.say(INFO, f"the arm {self._arm['name']}: joints of the tip {', '.join(axes)}, tip_yaw")
 
     def close(self) -> None:
-        """Ends the node; its goals are aborted, those that are accepted in this moment as well."""
+        """Ends the node and aborts its goals, also a goal that is being accepted."""
         self._jobs.close()
         self._requests.close()
         self._goals.close()
         self._node.close()
 
     def describes(self, arm: Mapping[str, Any]) -> bool:
-        """Returns whether a description is of the arm of this node."""
         return all(arm.get(name) == self._arm.get(name) for name in SAME)
 
     def receive_obstacles(self, arm: Mapping[str, Any]) -> None:
-        """Accepts a description with other obstacles."""
         self._scene, self._drawn = FoxgloveScene(arm), None
         self._markers.scene = self._scene
 
     def receive_alive(self, *, alive: bool) -> None:
-        """Accepts whether the daemon is there."""
         self._alive = alive
         self._goals.receive_alive(alive=alive)
         self.say(INFO if alive else ERROR, f"the daemon is {'there' if alive else 'gone'}")
 
     def receive_state(self, state: Mapping[str, Any]) -> None:
-        """Accepts a state; tells faults that came, and those that are over.
-
-        Raises:
-            ValueError: it is a state of another arm; nothing has changed.
-        """
+        """Stores a state and logs new and past faults. Raises ValueError for a state of another arm."""
         for name in ("measured", "commanded"):
             states, count = state.get(name), len(self._manipulator.actuators)
             if states is not None and len(states) != count:
@@ -165,12 +135,11 @@ class ArmNode:
         self._state, self._faults = state, faults
 
     def receive_result(self, result: GoalResult) -> None:
-        """Accepts a `result`."""
         self._goals.receive_result(result)
         self._requests.receive_result(result)
 
     def publish_state(self, state: Mapping[str, Any]) -> None:
-        """Publishes a state: joints, tip, frames, feedback, and markers if they have changed."""
+        """Publishes joints, tip, frames and feedback of a state, and markers if they changed."""
         self._states.publish(messages.joint_state(state, self._manipulator.actuators))
         if (tip := messages.tip_pose(state, self._world)) is not None:
             self._tips.publish(tip)
@@ -182,7 +151,7 @@ class ArmNode:
             self._pictures.publish(self._markers.array(state))
 
     def publish_slowly(self, state: Mapping[str, Any], told: Mapping[str, Any] | None) -> None:
-        """Publishes diagnostics, fixed frames, and markers again; tells dropped messages."""
+        """Publishes diagnostics, fixed frames and all markers; logs dropped messages."""
         self._drawn = None
         base = messages.transforms(self._scene, state, self._world)[0]
         last = f"{self._arm['name']}/{len(self._manipulator.modules)}"
@@ -205,18 +174,17 @@ class ArmNode:
         self._dropped = dropped
 
     def _tell_refused(self, counts: SetpointCounts) -> None:
-        """Tells how many set-points the daemon has refused; nobody answers a set-point."""
+        """Logs how many set-points the daemon has refused. A set-point has no reply."""
         before, self._refused = self._refused, counts.refused
         if before is not None and counts.refused > before:
             last = f", the last because {counts.last_refusal}" if counts.last_refusal else ""
             self.say(WARN, f"{counts.refused - before} set-points are refused{last}")
 
     def poll(self, now: float) -> None:
-        """Asks for results that are due; `now` [s]."""
         self._goals.poll(now)
 
     def say(self, level: int, text: str) -> None:
-        """Tells a sentence on /rosout; in a flood of bad requests some are left out."""
+        """Logs a sentence on /rosout. Some sentences are left out in a flood of bad requests."""
         now = time.monotonic()
         if len(self._said) == self._said.maxlen and now - self._said[0] < 1.0:
             self._unsaid += 1
@@ -256,19 +224,19 @@ class ArmNode:
 
 
 def node_name(arm: str, namespace: str) -> tuple[str, str]:
-    """Returns name and namespace of the node of an arm; characters that ROS 2 does not allow become underscores."""
+    """Returns the node's name and namespace. An underscore replaces each character that ROS 2 does not allow."""
     return "hyperbit", namespace or "/" + ODD.sub("_", arm)
 
 
 def tell(session: Session, settings: Settings, node: str, text: str) -> None:
-    """Tells an error on /rosout, by a node that exists only for this."""
+    """Logs an error on /rosout by a node that exists only for this message."""
     with Node(session, node, "/", settings.domain, settings.distro) as teller:
         publisher = teller.publisher("/rosout", "rcl_interfaces/msg/Log", ROSOUT)
         publisher.publish(messages.log(time.time(), ERROR, node, text))
 
 
 def feedback(state: Mapping[str, Any], joints: Sequence[str], wanted: list[float], actual: list[float]) -> Fields:
-    """Returns a FollowJointTrajectory_Feedback: what is wanted, what is measured, and the difference."""
+    """Returns a FollowJointTrajectory_Feedback: desired and actual positions, and their difference."""
     errors = [a - b for a, b in zip(wanted, actual, strict=True)]
     points = {"desired": wanted, "actual": actual, "error": errors}
     head = messages.header(state["stamp"])

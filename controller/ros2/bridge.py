@@ -1,4 +1,4 @@
-"""The bridge's loop: the node of an arm that is known, and its latest states, at most 50 times a second."""
+"""The bridge's loop: makes the node once the arm is known, and publishes states at most 50 times a second."""
 
 import logging
 import time
@@ -23,15 +23,7 @@ log = logging.getLogger(__name__)
 
 
 class Bridge:
-    """Shows one arm to ROS 2.
-
-    Args:
-        listener: hears the arm.
-        client: sends requests to it.
-        session: of ROS 2's network.
-        book: file of the goals of action clients.
-        settings: of the node.
-    """
+    """Shows one arm to ROS 2."""
 
     def __init__(
         self, listener: Listener, client: Client, session: Session, book: GoalBook, settings: Settings
@@ -43,7 +35,7 @@ class Bridge:
         self._latest: dict[str, dict[str, Any]] = {}  # the last `state` and `diagnostics`
         self._new_state = False
         self._told = ""  # the last error that was logged
-        self._asked = self._slow = -ASK_EVERY  # when the description was asked for, and the slow messages published [s]
+        self._asked = self._slow = -ASK_EVERY  # times of the last question and of slow messages [s]
 
     def run(self, ending: Callable[[], bool], beat: Callable[[], None]) -> None:
         """Runs until `ending` returns True; calls `beat` many times a second."""
@@ -56,17 +48,13 @@ class Bridge:
             time.sleep(max(began + PERIOD - time.monotonic(), 0.0))
 
     def close(self) -> None:
-        """Ends the node; its goals are aborted."""
+        """Ends the node and aborts its goals."""
         if self._node is not None:
             self._node.close()
             self._node = None
 
     def receive_message(self, item: ReceivedMessage) -> None:
-        """Accepts a message of the arm.
-
-        Raises:
-            UNEXPECTED: it has another form; nothing has changed.
-        """
+        """Accepts a message of the arm. Raises UNEXPECTED and changes nothing if the message has another form."""
         node = self._node
         match item.key:
             case "arm":
@@ -108,7 +96,7 @@ class Bridge:
             self._attempt(self._node.publish_slowly, state, self._latest.get("diagnostics"))
 
     def _attempt(self, function: Callable[..., None], *arguments: Any) -> None:
-        """Calls a function; a message of another form than the daemon's is told once, and harms nothing else."""
+        """Calls a function. Reports the first message that has another form than the daemon's; goes on after each."""
         try:
             function(*arguments)
         except UNEXPECTED as error:
@@ -117,7 +105,7 @@ class Bridge:
             self._told = repr(error)
 
     def _describe(self, data: bytes) -> None:
-        """Accepts the arm's description; another arm's file makes another node, other obstacles do not."""
+        """Accepts the arm's description. Another arm needs a new node; other obstacles do not."""
         arm = msgspec.json.decode(data, type=dict[str, Any])
         if self._node is not None and self._node.describes(arm):
             self._node.receive_obstacles(arm)

@@ -1,4 +1,4 @@
-"""The goals that action clients wait for, in a file: a bridge that is started again owes their results still."""
+"""Goals of action clients, kept in a file, so that a restarted bridge still sends their results."""
 
 import logging
 import threading
@@ -8,40 +8,29 @@ from typing import Annotated
 
 import msgspec
 
+from hyperbit.controller.host.keeper import set_aside, write_whole
 from hyperbit.controller.ros2.answers import GoalResult
 
 KEPT = 60.0  # [s] for which a result is kept after its goal's end
-MOST_GOALS = 64  # in the file; of more, the results that came first are forgotten
-MOST_OWED = 64  # cancels that are owed to the daemon; while there are more, no goal begins
+MOST_GOALS = 64  # in the file; the oldest results above this number are forgotten
+MOST_OWED = 64  # cancels that are owed to the daemon; above this number no goal begins
 TOPICS = ("goal_pose", "goal_path")
-LATEST = 2**31 * 10**9  # [ns since 1970] that a message of ROS 2 can hold
+LATEST = 2**31 * 10**9  # [ns since 1970], limit of a ROS 2 message
 log = logging.getLogger(__name__)
 
 
 class BookedGoal(msgspec.Struct, frozen=True):
-    """A goal of an action client, or one of a topic whose cancel is owed.
+    """A goal of an action client, or a goal of a topic whose cancel is owed."""
 
-    Attributes:
-        uuid: id of the goal, in hexadecimal.
-        kind: "tip" or "actuators", or the topic's name.
-        joints: names of the joints of its trajectory.
-        stamp: when it came [ns since 1970].
-        result: of the daemon, or of the bridge; None: there is none yet.
-        ended: UNIX time of the result [s].
-        canceling: whether a cancel was accepted before its end; then its result may be that it is canceled.
-        owed: whether a cancel is owed to the daemon: it is repeated until the daemon tells how the goal ended.
-        client: whether a client was told that the goal is accepted, or waits for that.
-    """
-
-    uuid: Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{32}\Z")]
-    kind: str
+    uuid: Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{32}\Z")]  # hexadecimal
+    kind: str  # "tip" or "actuators", or the topic's name
     joints: tuple[str, ...]
-    stamp: Annotated[int, msgspec.Meta(ge=0, lt=LATEST)]
+    stamp: Annotated[int, msgspec.Meta(ge=0, lt=LATEST)]  # of arrival [ns since 1970]
     result: GoalResult | None = None
-    ended: float = 0.0
-    canceling: bool = False
-    owed: bool = False
-    client: bool = True
+    ended: float = 0.0  # UNIX time of the result [s]
+    canceling: bool = False  # a cancel was accepted before the end, so the result may be "canceled"
+    owed: bool = False  # a cancel is repeated until the daemon reports the goal's end
+    client: bool = True  # a client knows that the goal is accepted, or waits for the decision
 
     @property
     def id(self) -> str:
@@ -50,13 +39,10 @@ class BookedGoal(msgspec.Struct, frozen=True):
 
 
 class GoalBook:
-    """All goals without a result, those whose cancel is owed, and those that ended lately. For any thread.
+    """Goals without a result, goals whose cancel is owed, and goals that ended lately. Thread-safe.
 
-    Each change replaces the file, so that a kill of the process leaves the old one or the new one. A power failure ends
-    the clients' waiting as well, so the disk is not waited for.
-
-    Args:
-        path: of the file; its folder is made.
+    Each change replaces the file, so a killed process leaves the old file or the new one. No fsync is needed: a power
+    failure ends the waiting clients as well.
     """
 
     def __init__(self, path: Path) -> None:
@@ -67,7 +53,9 @@ class GoalBook:
             self._goals = {goal.uuid: goal for goal in msgspec.json.decode(path.read_bytes(), type=list[BookedGoal])}
         except FileNotFoundError:
             pass
-        except (OSError, msgspec.MsgspecError) as error:
+        except (msgspec.MsgspecError, UnicodeError) as error:
+            log.error("goals before the start are not known: %s: %s; renamed to %s", path, error, set_aside(path))
+        except OSError as error:
             log.error("goals before the start are not known: %s: %s", path, error)
 
     def goals(self) -> list[BookedGoal]:
@@ -88,13 +76,11 @@ class GoalBook:
             return ""
 
     def put(self, goal: BookedGoal) -> None:
-        """Writes what has become of a goal."""
         with self._lock:
             self._goals[goal.uuid] = goal
             self._write()
 
     def remove(self, goal: BookedGoal) -> None:
-        """Removes a goal that was not accepted."""
         with self._lock:
             self._goals.pop(goal.uuid, None)
             self._write()
@@ -105,14 +91,12 @@ class GoalBook:
         ended = [key for key, goal in self._goals.items() if goal.result is not None and not goal.owed]
         for key in ended[: max(len(self._goals) - MOST_GOALS, 0)]:
             del self._goals[key]
-        fresh = self._path.with_suffix(".new")
         try:
-            fresh.write_bytes(msgspec.json.encode(list(self._goals.values())))
-            fresh.replace(self._path)
+            write_whole(self._path, msgspec.json.encode(list(self._goals.values())), sync=False)
         except OSError as error:
             log.error("a restart would forget the goals: %s: %s", self._path, error.strerror)
 
 
 def stays(goal: BookedGoal, until: float) -> bool:
-    """Returns whether a goal is open, or has ended after `until`."""
+    """Returns whether the book keeps a goal: it is open, or it ended after `until`."""
     return goal.result is None or goal.owed or goal.ended > until

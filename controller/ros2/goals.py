@@ -1,7 +1,7 @@
 """Goals of the two actions: from the client to the daemon, and exactly one result back.
 
-The daemon's ledger knows how a goal ended. So the bridge asks for the result of each goal now and then, whatever became
-of the message with the result: lost with the network, or sent while the daemon or the bridge was away.
+A message with the result may be lost with the network, or be sent while the bridge is down. So the bridge also asks the
+daemon's ledger for the result of each goal.
 """
 
 import math
@@ -25,8 +25,8 @@ from hyperbit.controller.ros2.wire.action_server import ActionServer, GoalHandle
 from hyperbit.controller.ros2.wire.node import Node
 
 ACTION = "control_msgs/action/FollowJointTrajectory"
-ASK_EVERY = 2.0  # [s] for the result of an open goal
-CANCEL_EVERY = 1.0  # [s] until the daemon tells that a canceled goal has ended
+ASK_EVERY = 2.0  # [s] between two requests for the result of an open goal
+CANCEL_EVERY = 1.0  # [s] between two cancels of a goal, until the daemon reports its end
 ENDING_TIMEOUT = 2.0  # [s] for the answer to one cancel or question; the next goals wait meanwhile
 KNOWN_WITHIN = 15.0  # [s] after which a goal that the ledger does not have is lost; a request is on its way for 10 s
 GONE_AFTER = 60.0  # [s] without a daemon, after which its goals are lost
@@ -34,53 +34,28 @@ LOST = -4  # code: the end of the goal is not known
 
 
 class Kind(NamedTuple):
-    """One of the actions.
+    """One of the actions."""
 
-    Attributes:
-        name: of the action, relative to the node's namespace.
-        convert: returns the daemon's goal of a goal's message; raises BadGoal.
-        feedback: returns the fields of a feedback from a `state` and the joints' names.
-    """
-
-    name: str
-    convert: Callable[[Any], Fields]
-    feedback: Callable[[Mapping[str, Any], tuple[str, ...]], Fields]
+    name: str  # relative to the node's namespace
+    convert: Callable[[Any], Fields]  # from an action's goal to the daemon's goal; raises BadGoal
+    feedback: Callable[[Mapping[str, Any], tuple[str, ...]], Fields]  # from a `state` and the joints' names
 
 
 @dataclass
 class OpenGoal:
-    """A goal whose end the daemon has not told.
-
-    Attributes:
-        booked: the goal.
-        handle: for the action's client; None: no client waits, but a cancel is owed.
-        since: when the bridge began to know it [s].
-        decided: whether it is accepted.
-        early: result that came before that.
-        asked: when its result was asked for [s].
-        canceled: when its cancel was sent [s].
-    """
+    """A goal whose end the daemon has not reported."""
 
     booked: BookedGoal
-    handle: GoalHandle | None
-    since: float
+    handle: GoalHandle | None  # None: no client waits, but a cancel is owed
+    since: float  # the bridge knows the goal since this time [s]
     decided: bool = True
-    early: GoalResult | None = None
-    asked: float = -math.inf
-    canceled: float = -math.inf
+    early: GoalResult | None = None  # result that came before the decision
+    asked: float = -math.inf  # time of the last request for the result [s]
+    canceled: float = -math.inf  # time of the last cancel [s]
 
 
 class ActionGoals:
-    """The goals of all actions, and the cancels that are owed to the daemon. For any thread.
-
-    Args:
-        node: whose actions they are.
-        kinds: the actions by kind.
-        book: file of the goals.
-        client: of the daemon.
-        jobs: threads for new goals.
-        say: tells a sentence on /rosout.
-    """
+    """The goals of all actions, and the cancels that are owed to the daemon. Thread-safe."""
 
     def __init__(
         self, node: Node, kinds: Mapping[str, Kind], book: GoalBook, client: Client, jobs: Jobs, say: Say
@@ -88,7 +63,7 @@ class ActionGoals:
         self._kinds, self._book, self._client, self._jobs, self._say = kinds, book, client, jobs, say
         self._open: dict[str, OpenGoal] = {}
         self._lock = threading.Lock()
-        self._gone: float | None = None  # since when the daemon is gone [s]
+        self._gone: float | None = None  # time at which the daemon disappeared [s]
         self._cancels = Task("cancels", self._send_cancels, say)
         self._ledger = Task("ledger", self._ask_results, say)
         policy = Policy(self._may_cancel, self._on_cancel, KEPT)
@@ -99,15 +74,12 @@ class ActionGoals:
             self._restore(booked)
 
     def receive_result(self, result: GoalResult) -> None:
-        """Accepts a `result` of the daemon."""
         self._end(result.id, result)
 
     def receive_alive(self, *, alive: bool) -> None:
-        """Accepts whether the daemon is there."""
         self._gone = None if alive else self._gone or time.monotonic()
 
     def publish_feedback(self, state: Mapping[str, Any]) -> None:
-        """Publishes the feedback of the goal that a `state` names."""
         with self._lock:
             goal = self._open.get(str(state.get("goal")))
             handle = goal.handle if goal is not None else None
@@ -115,7 +87,7 @@ class ActionGoals:
             handle.feedback(self._kinds[goal.booked.kind].feedback(state, goal.booked.joints))
 
     def poll(self, now: float) -> None:
-        """Sends the cancels and questions that are due; ends goals of a daemon that does not come back. `now` [s]."""
+        """Sends due cancels and result requests; ends goals after a long absence of the daemon. `now` [s]."""
         if self._gone is None:
             for task, due in ((self._cancels, self._due_cancel), (self._ledger, self._due_question)):
                 if due(now) is not None:
@@ -127,19 +99,19 @@ class ActionGoals:
             self._lose(goal, f"the daemon is gone for {GONE_AFTER:g} s; how the goal ended is not known")
 
     def check_room(self) -> None:
-        """Raises BadGoal if so many cancels are owed that no goal may begin."""
+        """Raises BadGoal if too many cancels are owed."""
         with self._lock:
             owed = sum(it.booked.owed and it.handle is None for it in self._open.values())
         if owed >= MOST_OWED:
             raise BadGoal(f"{owed} goals are not canceled yet, expected less than {MOST_OWED}")
 
     def owe_cancel(self, booked: BookedGoal) -> None:
-        """Cancels a goal of which no client knows, until the daemon tells its end."""
+        """Repeats the cancel of a goal without client until the daemon reports the goal's end."""
         self._owe(OpenGoal(booked, None, time.monotonic()))
         self._cancels.ask()
 
     def close(self) -> None:
-        """Sends the cancels that are due, and ends all goals: no client can wait for a bridge that has ended."""
+        """Sends the cancels that are due, and ends all goals: no client can wait for a closed bridge."""
         self._cancels.close()
         self._ledger.close()
         with self._lock:
@@ -149,8 +121,6 @@ class ActionGoals:
             self._lose(goal, f"the bridge to ROS 2 has ended; {rest}")
 
     def _on_goal(self, kind: str) -> Callable[[GoalHandle], None]:
-        """Returns what accepts the goals of an action."""
-
         def on_goal(handle: GoalHandle) -> None:
             passage = Passage(self._jobs.order)
             if not self._jobs.submit(lambda: start(handle, passage)):
@@ -173,7 +143,7 @@ class ActionGoals:
         return on_goal
 
     def _start(self, kind: str, handle: GoalHandle, passage: Passage) -> None:
-        """Sends a goal to the daemon, and accepts it if the daemon does.
+        """Sends a goal to the daemon, and accepts it if the daemon accepts it.
 
         Raises:
             BadGoal: the goal does not run.
@@ -199,7 +169,7 @@ class ActionGoals:
         self._say(INFO, f"goal {booked.id} of {self._kinds[kind].name} is accepted")
 
     def _withdraw(self, name: str, *, may_run: bool) -> None:
-        """Forgets a goal that is not accepted; cancels it if the daemon may have it."""
+        """Removes a rejected goal; cancels it if the daemon may run it."""
         with self._lock:
             goal = self._open.pop(name, None) if name in self._open and not self._open[name].decided else None
         if goal is None:
@@ -215,7 +185,7 @@ class ActionGoals:
             handle.reject()
 
     def _restore(self, booked: BookedGoal) -> None:
-        """Continues a goal of the bridge before this one."""
+        """Continues a goal of an earlier run of the bridge."""
         server: ActionServer | None = self._servers.get(booked.kind) if booked.client else None
         handle = None
         if server is not None:
@@ -224,7 +194,7 @@ class ActionGoals:
                 status, fields = ending(booked.result, canceling=booked.canceling)
             try:
                 handle = server.restore(bytes.fromhex(booked.uuid), booked.stamp, status, fields)
-            except IllegalTransition:  # its client has just sent it again, and the daemon knows it
+            except IllegalTransition:  # its client has just repeated it, and the daemon knows it
                 if not booked.owed:
                     return
         if booked.owed or (handle and booked.result is None):
@@ -236,14 +206,13 @@ class ActionGoals:
             self._book.remove(booked)
 
     def _owe(self, goal: OpenGoal) -> None:
-        """Writes down that a cancel is owed."""
         with self._lock:
             goal.booked = msgspec.structs.replace(goal.booked, canceling=True, owed=True)
             self._open[goal.booked.id] = goal
             self._book.put(goal.booked)
 
     def _may_cancel(self, handle: GoalHandle) -> bool:
-        """Writes down that a cancel is owed before its client hears that it is accepted: a kill may come between."""
+        """Writes that a cancel is owed before the client learns of its acceptance: a kill may come between."""
         with self._lock:
             goal = self._open.get(daemon_id(handle))
         if goal is not None and goal.handle is handle:
@@ -254,19 +223,19 @@ class ActionGoals:
         self._cancels.ask()
 
     def _due_cancel(self, now: float) -> OpenGoal | None:
-        """Returns the goal whose cancel is due for the longest time, if there is one."""
+        """Returns the goal whose cancel is due for the longest time."""
         with self._lock:
             due = [it for it in self._open.values() if it.booked.owed and now >= it.canceled + CANCEL_EVERY]
         return min(due, key=lambda it: it.canceled, default=None)
 
     def _due_question(self, now: float) -> OpenGoal | None:
-        """Returns the goal whose result is to be asked for first, if there is one."""
+        """Returns the goal whose result has to be asked for first."""
         with self._lock:
             due = [it for it in self._open.values() if it.decided and now >= it.asked + ASK_EVERY]
         return min(due, key=lambda it: it.asked, default=None)
 
     def _send_cancels(self) -> None:
-        """Sends the cancels that are due, until the daemon does not answer."""
+        """Sends the cancels that are due until the daemon fails to answer."""
         while (goal := self._due_cancel(time.monotonic())) is not None:
             first, goal.canceled = goal.canceled < 0, time.monotonic()
             try:
@@ -277,7 +246,7 @@ class ActionGoals:
                 return
 
     def _ask_results(self) -> None:
-        """Asks the daemon's ledger for the results that are due, until it does not answer."""
+        """Asks the daemon's ledger for due results until the daemon fails to answer."""
         while (goal := self._due_question(time.monotonic())) is not None:
             goal.asked = time.monotonic()
             try:
@@ -291,11 +260,11 @@ class ActionGoals:
                 self._end(goal.booked.id, GoalResult("lost", LOST, why))
 
     def _lose(self, goal: OpenGoal, why: str) -> None:
-        """Tells a client that the end of its goal is not known; a cancel that is owed stays."""
+        """Reports to a client that the end of its goal is unknown. An owed cancel stays."""
         self._end(goal.booked.id, GoalResult("lost", LOST, why), known=False)
 
     def _end(self, name: str, result: GoalResult, *, known: bool = True) -> None:
-        """Ends a goal, once; `known`: the daemon has no more of it, so that no cancel is owed."""
+        """Ends a goal, once. `known`: the daemon has ended the goal as well, so no cancel is owed."""
         with self._lock:
             goal = self._open.get(name)
             if goal is None:
@@ -320,7 +289,6 @@ class ActionGoals:
 
 
 def ending(result: GoalResult, *, canceling: bool) -> tuple[Status, Fields]:
-    """Returns status and fields of an action's result."""
     status = Status.CANCELED if result.status == "canceled" and canceling else Status.ABORTED
     code, sentence = LOST if result.code is None else result.code, f"{result.status}: {result.message}"
     fields = {"error_code": code, "error_string": sentence}
@@ -328,5 +296,4 @@ def ending(result: GoalResult, *, canceling: bool) -> tuple[Status, Fields]:
 
 
 def daemon_id(handle: GoalHandle) -> str:
-    """Returns the id of the daemon's goal."""
     return f"ros2-{handle.uuid.hex()}"

@@ -1,4 +1,4 @@
-"""Threads for requests to the daemon, and their order: what ends motion waits for nothing that asks for it."""
+"""Threads for requests to the daemon, and their order: a stop or cancel never waits for a motion request."""
 
 import contextlib
 import threading
@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from hyperbit.controller.ros2.answers import TIMEOUT
 from hyperbit.controller.ros2.messages import WARN
 
-MOST_WAITING = 64  # requests that ask for motion or plans, and wait for the daemon
+MOST_WAITING = 64  # waiting requests for motion or plans
 WORKERS = 4
 STOP, CANCEL = "stop", "cancel"
 
@@ -16,11 +16,11 @@ Say = Callable[[int, str], None]
 
 
 class Withdrawn(RuntimeError):
-    """A stop or cancel overtakes a request that asks for motion."""
+    """A stop or cancel overtakes a motion request."""
 
 
 class Order:
-    """The order of arrival: a stop or cancel is sent before what came later, and bars what came earlier."""
+    """The order of arrival: a stop or cancel is sent before later requests, and bars earlier motion requests."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -29,7 +29,7 @@ class Order:
         self._unsent: dict[int, str] = {}
 
     def arrive(self, key: str) -> int:
-        """Notes that a stop or cancel has arrived; returns its number."""
+        """Counts a stop or cancel; returns its number."""
         with self._changed:
             self.arrived += 1
             self._last[key] = self.arrived
@@ -38,7 +38,7 @@ class Order:
 
     @contextlib.contextmanager
     def sending(self, key: str, number: int) -> Iterator[None]:
-        """Notes that the stops or cancels up to this number are sent, or cannot be."""
+        """Notes at exit that all stops or cancels up to this number are sent, or failed."""
         try:
             yield
         finally:
@@ -49,12 +49,12 @@ class Order:
 
     @contextlib.contextmanager
     def passing(self, ticket: int, barring: tuple[str, ...], wait: float) -> Iterator[None]:
-        """Holds stops and cancels back while a request that asks for motion is sent.
+        """Holds stops and cancels back while a motion request is sent.
 
         Args:
             ticket: value of `arrived` when the request came.
             barring: the kinds that bar the request if they come after it.
-            wait: longest time until those that came before it are sent [s].
+            wait: longest time until earlier ones are sent [s].
 
         Raises:
             Withdrawn: the request may not be sent.
@@ -69,31 +69,24 @@ class Order:
 
 
 class Passage:
-    """The way of one request that asks for motion, from its arrival on.
+    """The way of one motion request, from its arrival on.
 
-    Attributes:
-        sent: whether it was sent at least once.
-
-    Args:
-        order: of arrival.
-        barring: the kinds that bar it.
-        wait: longest time until earlier stops and cancels are sent [s].
+    The kinds `barring` bar it; earlier stops and cancels delay it by at most `wait` [s].
     """
 
     def __init__(self, order: Order, barring: tuple[str, ...] = (STOP, CANCEL), wait: float = TIMEOUT) -> None:
         self._order, self._ticket, self._barring, self._wait = order, order.arrived, barring, wait
-        self.sent = False
+        self.sent = False  # whether it was sent at least once
 
     @contextlib.contextmanager
     def __call__(self) -> Iterator[None]:
-        """Sends, or raises Withdrawn."""
         with self._order.passing(self._ticket, self._barring, self._wait):
             self.sent = True
             yield
 
 
 class Task:
-    """Runs a function in a thread of its own whenever it is asked for; demands that wait are met by one run."""
+    """Runs a function in its own thread on demand. One run meets all demands that wait."""
 
     def __init__(self, name: str, function: Callable[[], None], say: Say) -> None:
         self._pool, self._function, self._say = ThreadPoolExecutor(1, f"ros2-{name}"), function, say
@@ -111,7 +104,6 @@ class Task:
             return True
 
     def close(self) -> None:
-        """Waits for the runs that were asked for."""
         self._pool.shutdown()
 
     def _run(self) -> None:
@@ -121,11 +113,7 @@ class Task:
 
 
 class Jobs:
-    """A few threads for requests that ask for motion or plans, with a limited number of places.
-
-    Attributes:
-        order: of arrival of these requests, stops and cancels.
-    """
+    """A few threads for motion and plan requests; a limited number of jobs may wait."""
 
     def __init__(self, say: Say) -> None:
         self._say, self._pool = say, ThreadPoolExecutor(WORKERS, "ros2")
@@ -133,7 +121,7 @@ class Jobs:
         self._free = threading.BoundedSemaphore(MOST_WAITING)
 
     def submit(self, job: Callable[[], None]) -> bool:
-        """Runs a job in a thread; returns False if too many wait."""
+        """Queues a job; returns False if too many wait."""
         if not self._free.acquire(blocking=False):
             return False
 
@@ -151,12 +139,12 @@ class Jobs:
         return True
 
     def close(self) -> None:
-        """Waits for the jobs that are under way; drops those that wait."""
+        """Waits for running jobs; drops waiting ones."""
         self._pool.shutdown(cancel_futures=True)
 
 
 def guarded(job: Callable[[], None], say: Say) -> None:
-    """Runs a job; its failure is told, and harms no other job."""
+    """Runs a job and logs an exception, so that its thread goes on."""
     try:
         job()
     except Exception as error:

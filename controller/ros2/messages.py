@@ -49,24 +49,14 @@ def transforms(scene: FoxgloveScene, state: Message, world: str) -> list[Fields]
 
 
 class Markers:
-    """The markers of an arm, its goal and its obstacles.
-
-    Attributes:
-        scene: draws the arm; another one has other obstacles.
-
-    Args:
-        scene: draws the arm.
-        arm: name of the arm, and namespace of its markers.
-        length: of the arm.
-        world: name of the world's frame.
-    """
+    """The markers of an arm of some length, its goal and its obstacles, in the frame `world`."""
 
     def __init__(self, scene: FoxgloveScene, arm: str, length: float, world: str) -> None:
         self.scene, self._arm, self._width, self._world = scene, arm, length * THIN, world
         self._shown: set[tuple[str, int]] = set()
 
     def array(self, state: Message) -> Fields:
-        """Returns the visualization_msgs/msg/MarkerArray of a `state`; markers that are gone are deleted."""
+        """Returns the visualization_msgs/msg/MarkerArray of a `state`, with DELETE for each marker that is gone."""
         markers: list[Fields] = []
         for entity in self.scene.update(state, state["stamp"])["entities"]:
             frame = self._world if entity["frame_id"] == "world" else entity["frame_id"]
@@ -94,11 +84,7 @@ class Markers:
 def diagnostics(arm: str, state: Message, told: Message | None, *, alive: bool = True) -> Fields:
     """Returns the diagnostic_msgs/msg/DiagnosticArray of an arm.
 
-    Args:
-        arm: name of the arm.
-        state: payload of `state`.
-        told: payload of `diagnostics`; None if none came.
-        alive: whether the daemon is there; else its last messages are stale.
+    `told` is the latest payload of `diagnostics`. The latest messages are stale unless the daemon is `alive`.
     """
     words, level = f"{state['mode']}: {state['reason']}", LEVELS.get(state["mode"], STALE)
     entries = [
@@ -128,7 +114,6 @@ def diagnostics(arm: str, state: Message, told: Message | None, *, alive: bool =
 
 
 def status(name: str, level: int, message: str, values: Message) -> Fields:
-    """Returns a diagnostic_msgs/msg/DiagnosticStatus."""
     pairs = [{"key": str(key), "value": str(value)} for key, value in values.items() if key not in ("name", "state")]
     return {"level": level, "name": name, "message": message, "hardware_id": name.partition(":")[0], "values": pairs}
 

@@ -11,19 +11,14 @@ from hyperbit.controller.manipulator.frames import Frame
 
 Fields = dict[str, Any]
 
-OLDEST = 5.0  # [s] of a pose's stamp, in the past and in the future
-FARTHEST = 1e6  # of a coordinate, as the daemon's; greater ones overflow in a frame
-LENGTH_ERROR = 0.01  # of a quaternion that counts as a unit quaternion
+OLDEST = 5.0  # [s], greatest age, and greatest lead, of a pose's stamp
+FARTHEST = 1e6  # greatest coordinate, as in the daemon; greater ones overflow in a frame
+LENGTH_ERROR = 0.01  # greatest error of the length of a unit quaternion
 SECOND = 1_000_000_000  # [ns]
 
 
 class BadGoal(ValueError):
-    """A message of ROS 2 is no goal of this arm.
-
-    Args:
-        message: what was given, where, and what would have been right.
-        code: of FollowJointTrajectory.
-    """
+    """A ROS 2 message is no goal of this arm. `code` is of FollowJointTrajectory."""
 
     def __init__(self, message: str, code: int = -1) -> None:
         super().__init__(message)
@@ -31,26 +26,13 @@ class BadGoal(ValueError):
 
 
 class Place(NamedTuple):
-    """Where an arm stands.
-
-    Attributes:
-        world: name of the world's frame.
-        arm: name of the arm; its base has the frame "<arm>/0".
-        base: frame of the base in the world, shape (4, 4).
-        dimension: 2 or 3.
-    """
-
-    world: str
-    arm: str
-    base: Frame
+    world: str  # name of the world's frame
+    arm: str  # its base has the frame "<arm>/0"
+    base: Frame  # in the world, shape (4, 4)
     dimension: int
 
     def frame(self, name: str, where: str) -> Frame:
-        """Returns the frame (4, 4) of a name in the world; a message without a name means the world.
-
-        Raises:
-            BadGoal: the name is neither that of the world nor of the arm's base.
-        """
+        """Returns a named frame (4, 4) in the world; "" is the world. Raises BadGoal unless it is world or base."""
         if name in ("", self.world):
             return np.eye(4)
         if name == f"{self.arm}/0":
@@ -58,11 +40,7 @@ class Place(NamedTuple):
         raise BadGoal(f"{where}.header.frame_id: {name[:100]!r}, expected {self.world!r} or '{self.arm}/0'")
 
     def position(self, frame: Frame, point: Sequence[float], where: str) -> list[float]:
-        """Returns the coordinates in the world of a point (3,) in a frame (4, 4).
-
-        Raises:
-            BadGoal: a coordinate is farther than the daemon accepts.
-        """
+        """Returns the world coordinates of a point (3,) in a frame (4, 4). Raises BadGoal if one is too great."""
         if any(abs(x) > FARTHEST for x in point):
             raise BadGoal(f"{where}: {max(point, key=abs):g}, expected at most {FARTHEST:g}")
         found: list[float] = (frame @ [*point, 1.0])[: self.dimension].tolist()
@@ -81,11 +59,7 @@ def time_of(stamp: float) -> Fields:
 
 
 def check_stamp(stamp: float, where: str) -> None:
-    """Checks the stamp of a pose that is to be reached now; 0 is always right.
-
-    Raises:
-        BadGoal: it is too old, or in the future.
-    """
+    """Raises BadGoal if the stamp of a pose to reach now is too old, or in the future; 0 is always valid."""
     age = time.time() - stamp
     if stamp != 0 and abs(age) > OLDEST:
         when = f"{age:.1f} s old" if age > 0 else f"{-age:.1f} s in the future"
@@ -93,11 +67,9 @@ def check_stamp(stamp: float, where: str) -> None:
 
 
 def waypoint(message: Any, place: Place, where: str, *, oriented: bool) -> Fields:
-    """Returns the waypoint of a PoseStamped.
+    """Returns the waypoint of a geometry_msgs/msg/PoseStamped.
 
     Args:
-        message: geometry_msgs/msg/PoseStamped.
-        place: where the arm stands.
         where: name of the message, for errors.
         oriented: whether its orientation counts.
 
@@ -114,11 +86,7 @@ def waypoint(message: Any, place: Place, where: str, *, oriented: bool) -> Field
 
 
 def finite(holder: Any, names: str, where: str) -> list[float]:
-    """Returns fields of a message as numbers.
-
-    Raises:
-        BadGoal: a number is NaN or infinite.
-    """
+    """Returns fields of a message as numbers. Raises BadGoal if a number is NaN or infinite."""
     values = [float(getattr(holder, name)) for name in names]
     for name, value in zip(names, values, strict=True):
         if not math.isfinite(value):
@@ -127,11 +95,7 @@ def finite(holder: Any, names: str, where: str) -> list[float]:
 
 
 def rotation(quaternion: Sequence[float], where: str) -> Frame:
-    """Returns the rotation (3, 3) of a quaternion x, y, z, w.
-
-    Raises:
-        BadGoal: its length is not 1.
-    """
+    """Returns the rotation (3, 3) of a quaternion x, y, z, w. Raises BadGoal if its length is not 1."""
     length = math.hypot(*quaternion)
     if abs(length - 1.0) > LENGTH_ERROR:
         raise BadGoal(f"{where}.pose.orientation: a quaternion of length {length:.3g}, expected a unit quaternion")
@@ -157,7 +121,7 @@ def orientation(turned: Frame, dimension: int) -> Any:
 
 
 def pose(told: Mapping[str, Any]) -> Fields:
-    """Returns the pose of ROS 2 of a pose of the daemon, with `position` and perhaps `orientation`."""
+    """Converts a pose of the daemon, with `position` and optional `orientation`."""
     x, y, z = (*told["position"], 0.0)[:3]
     turned = told.get("orientation")
     if turned is None:
@@ -168,7 +132,7 @@ def pose(told: Mapping[str, Any]) -> Fields:
 
 
 def yaw(told: Mapping[str, Any]) -> float:
-    """Returns the angle about z of a pose of the daemon [rad]; NaN if it has no orientation."""
+    """Returns the angle about z of a pose of the daemon [rad]; NaN without orientation."""
     turned = told.get("orientation")
     if turned is None:
         return math.nan

@@ -30,7 +30,7 @@ FAILED: Fields = {"success": False, "message": "the request failed, or too many 
 
 
 class Ending:
-    """The service `stop` or `cancel`. Each request is followed by one to the daemon; those that wait share it."""
+    """The service `stop` or `cancel`. A request to the daemon follows each call; waiting calls share one."""
 
     def __init__(self, key: str, order: Order, client: Client, say: Say) -> None:
         self._key, self._order, self._client = key, order, client
@@ -39,7 +39,6 @@ class Ending:
         self.close = self._task.close
 
     def receive(self, asked: Request) -> None:
-        """Accepts a request."""
         with self._lock:
             self._number = self._order.arrive(self._key)
             waits = len(self._waiting) < MOST_ENDINGS
@@ -55,7 +54,7 @@ class Ending:
             waiting, self._waiting, number = self._waiting, [], self._number
         fields = FAILED
         try:
-            with self._order.sending(self._key, number):  # also if nothing is sent
+            with self._order.sending(self._key, number):  # also without a request
                 answer = request(
                     self._client, Answer, self._key, sending=lambda: self._order.sending(self._key, number)
                 )
@@ -70,14 +69,7 @@ class Ending:
 class Requests:
     """The services `stop`, `cancel`, `reset` and `plan`, and the topics `goal_pose`, `goal_path` and `setpoint`.
 
-    Args:
-        node: the arm's node.
-        client: of the daemon.
-        place: where the arm stands.
-        jobs: threads for what asks for motion.
-        goals: of the actions; they cancel goals of topics that the daemon may have.
-        say: tells a sentence on /rosout.
-        oriented: whether the orientation of goals counts.
+    `goals` cancel goals of topics that the daemon may run. `oriented`: whether the orientation of goals counts.
     """
 
     def __init__(
@@ -97,30 +89,29 @@ class Requests:
         node.subscriber("setpoint", "geometry_msgs/msg/PoseStamped", self._setpoint)
 
     def close(self) -> None:
-        """Sends the stops and cancels that wait, and waits for their answers."""
+        """Sends waiting stops and cancels, and waits for their answers."""
         for ending in self._endings:
             ending.close()
 
     def receive_result(self, result: GoalResult) -> None:
-        """Tells how a goal of a topic ended."""
         if self._forget(result.id):
             level = INFO if result.status == "succeeded" else WARN
             self._say(level, f"goal {result.id} {result.status}: {result.message}")
 
     def _remember(self, identity: str) -> None:
-        """Notes a goal of a topic; results may get lost, so that only the latest goals are kept."""
+        """Notes a goal of a topic. Keeps only the latest, because results may get lost."""
         with self._lock:
             self._sent[identity] = None
             while len(self._sent) > MOST_WAITING:
                 del self._sent[next(iter(self._sent))]
 
     def _forget(self, identity: str) -> bool:
-        """Returns whether a goal of a topic was noted, and forgets it."""
+        """Forgets a goal of a topic; returns whether it was noted."""
         with self._lock:
             return identity in self._sent and self._sent.pop(identity) is None
 
     def _answer(self, asked: Request, job: Callable[[], Fields], empty: Fields) -> None:
-        """Replies with what a job returns; with `empty` if too many requests wait, or if the job fails."""
+        """Replies with the job's result, or with `empty` if too many requests wait or the job fails."""
 
         def run() -> None:
             fields = empty
@@ -166,8 +157,6 @@ class Requests:
         self._answer(asked, run, {"plan": {"header": head}})
 
     def _later(self, name: str, convert: Callable[[Any], Fields]) -> Callable[[Received], None]:
-        """Returns the callback of a topic of goals."""
-
         def send(message: Any, passage: Passage) -> None:
             booked = BookedGoal(uuid.uuid4().hex, name, (), time.time_ns(), client=False)
             self._remember(booked.id)
@@ -195,7 +184,7 @@ class Requests:
         return {"waypoints": [waypoint(message, self._place, "goal_pose", oriented=self._oriented)]}
 
     def _path_goal(self, message: Any) -> Fields:
-        """Returns the goal of a path; without increasing stamps its poses follow each other in equal steps."""
+        """Returns the goal of a path. Without increasing stamps its poses get equal time steps."""
         if not 1 <= len(message.poses) <= MOST_POSES:
             raise BadGoal(f"goal_path.poses: {len(message.poses)}, expected 1 to {MOST_POSES}")
         self._place.frame(message.header.frame_id, "goal_path")
@@ -213,7 +202,7 @@ class Requests:
         }
 
     def _setpoint(self, received: Received) -> None:
-        """Sends a set-point on; the daemon judges its stamp."""
+        """Forwards a set-point; the daemon checks its stamp."""
         message = received.message
         try:
             point = waypoint(message, self._place, "setpoint", oriented=False)

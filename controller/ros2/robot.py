@@ -1,7 +1,7 @@
 """The arm as a URDF: a link for each module frame, and a joint for each actuator.
 
-URDF knows rigid links only. Frames of modules are fixed as in the contracted configuration; /tf has them as measured.
-A joint of an actuator moves a link without geometry from 0 (contracted) to 1 (extended), as in joint_states.
+URDF knows rigid links only. Frames of modules are fixed in the contracted configuration; /tf has the measured frames. A
+joint of an actuator moves a link without geometry from 0 (contracted) to 1 (extended), as in joint_states.
 """
 
 from xml.etree import ElementTree
@@ -13,13 +13,7 @@ from hyperbit.controller.manipulator.manipulator import Manipulator
 
 
 def urdf(arm: str, world: str, manipulator: Manipulator) -> str:
-    """Returns the URDF of an arm.
-
-    Args:
-        arm: name of the arm; links of module frames are "<arm>/0" to "<arm>/B", as in /tf, then "<arm>/tip".
-        world: name of the root link.
-        manipulator: the arm's chain.
-    """
+    """Returns the URDF of an arm. Links of module frames are "<arm>/0" to "<arm>/B", as in /tf, then "<arm>/tip"."""
     robot = ElementTree.Element("robot", name=arm)
     ElementTree.SubElement(robot, "link", name=world)
     frames = [manipulator.base, *(module.frames[0] for module in manipulator.modules), np.eye(4)]
@@ -36,7 +30,6 @@ def urdf(arm: str, world: str, manipulator: Manipulator) -> str:
 
 
 def _add(robot: ElementTree.Element, name: str, kind: str, ends: tuple[str, str], frame: Frame) -> ElementTree.Element:
-    """Adds a link and its joint; returns the joint."""
     parent, child = ends
     ElementTree.SubElement(robot, "link", name=child)
     joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)

@@ -8,36 +8,27 @@ import numpy as np
 
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.manipulator.notation import format_configuration
-from hyperbit.controller.ros2.poses import BadGoal, Fields, Place, seconds, yaw
+from hyperbit.controller.ros2.poses import BadGoal, Fields, Place, orientation, seconds, yaw
 
 INVALID_JOINTS = -2
 AXES = ("tip_x", "tip_y", "tip_z")
 YAW = "tip_yaw"
-NEAR = 0.01  # of a position of an actuator from 0 or 1
+NEAR = 0.01  # greatest distance of an actuator's position from 0 or 1
+ERASED = -1.0  # a tolerance that there is not
 MOST_POINTS = 10_000
 
 
 class Trajectory(NamedTuple):
-    """What of a goal is common to both kinds of joints.
-
-    Attributes:
-        joints: names of the joints.
-        positions: shape (points, joints).
-        times: after the stamp [s], shape (points,).
-        stamp: UNIX time of the begin [s]; 0: at once.
-    """
+    """The part of a goal that both kinds of joints share."""
 
     joints: tuple[str, ...]
-    positions: np.ndarray[tuple[int, int], np.dtype[np.float64]]
-    times: list[float]
-    stamp: float
+    positions: np.ndarray[tuple[int, int], np.dtype[np.float64]]  # shape (points, joints)
+    times: list[float]  # after the stamp [s], shape (points,)
+    stamp: float  # UNIX time of the start [s]; 0: at once
 
 
 def trajectory(goal: Any) -> Trajectory:
-    """Returns the points of a goal.
-
-    Args:
-        goal: control_msgs/action/FollowJointTrajectory_Goal.
+    """Returns the points of a control_msgs/action/FollowJointTrajectory_Goal.
 
     Raises:
         BadGoal: it has no points or joints, a joint twice, positions that do not match the joints, or a number that is
@@ -66,11 +57,7 @@ def trajectory(goal: Any) -> Trajectory:
 
 
 def tip_goal(goal: Any, place: Place) -> Fields:
-    """Returns the daemon's goal of a trajectory of the tip.
-
-    Raises:
-        BadGoal: the joints are not tip_x, tip_y, and so on; or as `trajectory`.
-    """
+    """Returns the daemon's goal of a trajectory of the tip. Raises BadGoal if the joints are not tip_x, tip_y, ..."""
     found = trajectory(goal)
     axes = AXES[: place.dimension]
     if set(found.joints) - {YAW} != set(axes):
@@ -83,23 +70,22 @@ def tip_goal(goal: Any, place: Place) -> Fields:
         point = [*(float(columns[name][k]) for name in axes), *([0.0] * (3 - len(axes)))]
         entry: Fields = {"t": t, "position": place.position(frame, point, f"trajectory.points[{k}]")}
         if YAW in columns:
-            angle = float(columns[YAW][k]) + math.atan2(frame[1, 0], frame[0, 0])
-            turn = [0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2)]
-            entry["orientation"] = angle if place.dimension == 2 else turn
+            cos, sin = math.cos(columns[YAW][k]), math.sin(columns[YAW][k])
+            turned = frame[:3, :3] @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+            entry["orientation"] = orientation(turned, place.dimension)
         waypoints.append(entry)
     return {"waypoints": waypoints, "stamp": found.stamp, **_tolerances(goal, axes)}
 
 
 def actuator_goal(goal: Any, manipulator: Manipulator, states: Sequence[int | None]) -> Fields:
-    """Returns the daemon's goal of a trajectory of actuators; actuators that it does not name stay.
+    """Returns the daemon's goal of a trajectory of actuators. Unnamed actuators stay.
 
     Args:
         goal: of the action; a position is 0 (contracted) or 1 (extended).
-        manipulator: the arm's chain.
         states: present states of the actuators (A,), None where unknown.
 
     Raises:
-        BadGoal: a joint is no actuator, a position is neither 0 nor 1, or states together are no configuration.
+        BadGoal: a joint is no actuator, a position is neither 0 nor 1, or the states form no configuration.
     """
     found = trajectory(goal)
     labels = list(manipulator.actuators)
@@ -120,7 +106,7 @@ def actuator_goal(goal: Any, manipulator: Manipulator, states: Sequence[int | No
 
 
 def _configuration(manipulator: Manipulator, states: Sequence[int | None], where: str) -> str:
-    """Returns the text of the configuration that has these actuator states."""
+    """Returns the text of the configuration with these actuator states."""
     result, begin = [], 0
     for number, module in enumerate(manipulator.modules, 1):
         own = states[begin : begin + len(module.actuators)]
@@ -135,10 +121,21 @@ def _configuration(manipulator: Manipulator, states: Sequence[int | None], where
 
 
 def _tolerances(goal: Any, axes: Sequence[str]) -> Fields:
-    """Returns the fields `tolerance` and `path_tolerance` of the daemon's goal; 0 in a message means the default."""
+    """Returns `tolerance` and `path_tolerance` of the daemon's goal. 0 means the default, and -1 no tolerance.
+
+    A position always has a tolerance: that of the arm's file.
+    """
     result: Fields = {}
+    for where, entries in (("goal_tolerance", goal.goal_tolerance), ("path_tolerance", goal.path_tolerance)):
+        if unknown := [it.name for it in entries if it.name not in (*axes, YAW)]:
+            names = ", ".join((*axes, YAW))
+            raise BadGoal(f"{where}: {unknown[0][:50]!r}, expected joints of the tip: {names}", INVALID_JOINTS)
     positions = _tolerance(goal.goal_tolerance, "goal_tolerance", axes)
     turns = _tolerance(goal.goal_tolerance, "goal_tolerance", (YAW,))
+    if any(it.name == YAW and it.position == ERASED for it in goal.goal_tolerance):
+        turns = math.pi  # any orientation
+    if _tolerance(goal.path_tolerance, "path_tolerance", (YAW,)) is not None:
+        raise BadGoal(f"path_tolerance: {YAW}: lines are followed by position only, leave it out")
     tolerance = {name: value for name, value in (("position", positions), ("orientation", turns)) if value is not None}
     if tolerance:
         result["tolerance"] = tolerance
@@ -148,14 +145,14 @@ def _tolerances(goal: Any, axes: Sequence[str]) -> Fields:
 
 
 def _tolerance(entries: Sequence[Any], where: str, names: Sequence[str]) -> float | None:
-    """Returns the least position tolerance of some joints; None if none is given."""
+    """Returns the least position tolerance of the named joints."""
     values = [float(it.position) for it in entries if it.name in names]
-    if any(not math.isfinite(value) or value < 0 for value in values):
-        raise BadGoal(f"{where}: a tolerance is negative or not finite; 0 means that of the arm's file")
+    if any(not math.isfinite(value) or (value < 0 and value != ERASED) for value in values):
+        words = "a tolerance is negative or not finite; 0 means that of the arm's file, -1 none"
+        raise BadGoal(f"{where}: {words}")
     return min((value for value in values if value > 0), default=None)
 
 
 def tip_positions(told: Mapping[str, Any], joints: Sequence[str]) -> list[float]:
-    """Returns the positions of tip joints of a pose of the daemon."""
     known = dict(zip(AXES, told["position"], strict=False)) | {YAW: yaw(told)}
     return [known.get(name, math.nan) for name in joints]

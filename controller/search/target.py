@@ -165,7 +165,7 @@ def within(tip: Frame, goal: Frame, tolerance: float, angle_tolerance: float) ->
         tolerance: greatest distance.
         angle_tolerance: greatest angle between the orientations [rad]; infinite without orientation.
     """
-    if distance(tip, goal) > tolerance:
+    if not distance(tip, goal) <= tolerance:  # a distance that is no number is not within
         return False
     return angle_tolerance == math.inf or angle_between(tip, goal) <= angle_tolerance
 

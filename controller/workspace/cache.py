@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hyperbit.controller.host.folders import user_folder
+from hyperbit.controller.host.keeper import whole_file
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.workspace.densities import Densities
 from hyperbit.controller.workspace.mapping import map_densities
@@ -22,12 +24,11 @@ def default_directory() -> Path:
     """Returns the folder of the cache: systemd's CacheDirectory, otherwise in the user's cache folder."""
     if "CACHE_DIRECTORY" in os.environ:
         return Path(os.environ["CACHE_DIRECTORY"]) / "densities"
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "hyperbit"
+    return user_folder("XDG_CACHE_HOME", ".cache") / "hyperbit"
 
 
 def key(manipulator: Manipulator, pixel: float, level_pixels: int) -> str:
-    """Returns a digest of the input of the mapping: geometry and pixels, not the base frame."""
+    """Returns a digest of the input of the mapping: geometry and pixels, without the base frame."""
     digest = hashlib.sha256(f"{FORMAT} {pixel!r} {level_pixels} {manipulator.dimension}".encode())
     for array in (manipulator.states, manipulator.rotations, manipulator.translations):
         digest.update(repr(array.shape).encode() + array.tobytes())
@@ -44,7 +45,7 @@ def load_or_map(
     """Returns the densities from the cache, or maps and stores them.
 
     A damaged or wrong file is replaced. The folder is created if needed. If it cannot be written, a warning is logged.
-    For the arguments see map_densities; `progress` is not called if the densities are in the cache.
+    For the arguments see map_densities; cached densities do not call `progress`.
     """
     wanted = key(manipulator, pixel, level_pixels)
     path = directory / f"{wanted[:24]}.npz"
@@ -81,13 +82,5 @@ def store(path: Path, wanted: str, densities: Densities) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(f".{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            np.savez(file, key=np.array(wanted), **vars(densities))
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole_file(path) as file:
+        np.savez(file, key=np.array(wanted), **vars(densities))

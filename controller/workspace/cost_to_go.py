@@ -24,7 +24,7 @@ Boxes = NDArray[np.float64]
 UNREACHABLE = 9999  # level of pixels without a tip
 STEPS = 8  # levels of the least cost of a switch: exact for equal weights, nearly exact for others
 LENGTHS = 200.0  # pixels along the arm's length, at the base
-HALFWAY = 2.0  # how many times finer the pixels are in the middle of the arm; they are finest at the tip
+HALFWAY = 2.0  # factor by which pixels are finer in the middle of the arm; they are finest at the tip
 PREFIXES = 512.0  # configurations of the first modules, which have no maps: these would be large and prune little
 MOST_LOOKUPS = 3.2e6  # look-ups of all levels; pixels grow until they are fewer
 BORDER = 2  # pixels of the border around all tips
@@ -53,7 +53,7 @@ MAPS = named(Maps, int64, float64, float64, int16[::1], I1, I2, F2, F1)
 
 
 class CostToGo:
-    """Computes the cost-to-go maps of one planar arm; holds their memory.
+    """Computes the cost-to-go maps of one planar arm; owns their memory.
 
     Boxes (B + 1, 4) are the least and greatest x and y of all tips in frames F_0 to F_B, see Hull.
     """
@@ -76,7 +76,6 @@ class CostToGo:
         return self._maps
 
     def ready(self, costs: Array, radius: float) -> bool:
-        """Returns whether the maps are ready."""
         return self._key is not None and self._key[1] == radius and np.array_equal(self._key[0], costs)
 
     def steps(self, costs: Array, radius: float) -> Iterator[None]:
@@ -171,7 +170,7 @@ def map_level(
 
     Args:
         maps: written: the level's values.
-        level: modules below.
+        level: number of modules below.
         rotations: configuration sets, shape (B, Kmax, 3, 3).
         translations: configuration sets, shape (B, Kmax, 3).
         states: K_i, shape (B,).

@@ -24,9 +24,9 @@ from hyperbit.controller.workspace.nearby_counts import CountMethod, NearbyCount
 Array = NDArray[np.float64]
 
 LEAST, MOST = 512, 1 << 15  # positions
-WORK = {"listing": 1 << 15, "halves": 1 << 26, "draws": 1 << 19}  # about: positions times compared configurations
+WORK = {"listing": 1 << 15, "halves": 1 << 26, "draws": 1 << 19}  # about: most positions times compared configurations
 TESTS = 2e9  # about: most distances to compute
-PART = {"listing": 4096, "halves": 1024, "draws": 16}  # positions that are counted together, from a seed of their own
+PART = {"listing": 4096, "halves": 1024, "draws": 16}  # positions that are counted together, with their own seed
 PILOT = 64  # positions that estimate the distances to compute
 
 
@@ -53,7 +53,7 @@ class Coverage(NamedTuple):
 class WorkspaceCells(NamedTuple):
     """Cells that contain the workspace, each no smaller than the radius."""
 
-    # ln of the number of configurations in each cell by the densities, minus infinity: none, shape (z, y, x)
+    # by the densities: ln of the number of configurations in each cell, minus infinity for none, shape (z, y, x)
     logs: Array
     near: NDArray[np.bool_]  # whether a cell or a neighbour has configurations, shape (z, y, x)
     corner: Array  # least corner (x, y, z) of the first cell, shape (3,)
@@ -83,30 +83,23 @@ class PositionPart(NamedTuple):
 
 
 class CountJob(NamedTuple):
-    """Counts configurations near positions; what all parts have in common.
+    """Counts configurations near positions; constant for all parts."""
 
-    Attributes:
-        manipulator, pixel, level_pixels: of the densities, which are in the cache or are mapped.
-    """
-
-    manipulator: Manipulator
-    pixel: float
-    level_pixels: int
+    manipulator: Manipulator  # of the densities, which are in the cache or are mapped
+    pixel: float  # of the densities
+    level_pixels: int  # of the densities
     radius: float  # see `coverage_of`
 
     def prepare(self) -> Run:
-        """Lists tips; returns what counts the configurations near a part's positions."""
+        """Lists tips; returns a function that counts the configurations near a part's positions."""
         densities = load_or_map(self.manipulator, self.pixel, self.level_pixels, default_directory())
         return CountHere(NearbyCounts(self.manipulator, densities, self.radius)).prepare()
 
 
 class CountHere(NamedTuple):
-    """Counts in this process."""
-
     counts: NearbyCounts
 
     def prepare(self) -> Run:
-        """Returns what counts the configurations near a part's positions."""
         return self._run
 
     def _run(self, part: PositionPart) -> Iterator[Array]:
@@ -126,8 +119,8 @@ def coverage_of(
     """Returns where the tip can be within a radius, and by how many configurations.
 
     Arms of up to 2^21 configurations are listed; the only error is that of the drawn positions, about 1 %. Without a
-    number of positions, it depends on the cost of a position. `spread` counts the parts of the positions: with `job` in
-    other processes, as densities are too large to be sent; None: this process counts.
+    given number of positions, the number depends on the cost of a position. `spread` counts the parts of the positions:
+    with `job` in other processes, as densities are too large to be sent; None: this process counts.
     """
     random, size = np.random.default_rng(seed), manipulator.dimension
     counts = NearbyCounts(manipulator, densities, radius)
@@ -172,7 +165,7 @@ def coverage_of(
 
 
 def mean(weights: Array, errors: float = 0.0) -> float:
-    """Returns the mean of weights (n,) plus some standard errors; both halves are drawn in a way of their own."""
+    """Returns the mean of weights (n,) plus some standard errors; each half is drawn in its own way."""
     half = len(weights) // 2
     error = math.sqrt(0.5 * (weights[:half].var() + weights[half:].var()) / len(weights))
     return float(weights.mean()) + errors * error

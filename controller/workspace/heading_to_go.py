@@ -42,7 +42,7 @@ def parts(sine: Array, cosine: Array) -> Integers:
 
 
 class HeadingToGo:
-    """Computes the costs to go of the heading of one planar arm; holds their memory."""
+    """Computes the costs to go of the heading of one planar arm; owns their memory."""
 
     def __init__(self, manipulator: Manipulator) -> None:
         self._states = manipulator.states

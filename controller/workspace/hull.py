@@ -79,5 +79,4 @@ class Hull:
 
 @lru_cache(maxsize=2)  # shared by the solvers of goals and of set-points
 def build_hull(manipulator: Manipulator) -> Hull:
-    """Returns the hull of an arm's tips."""
     return Hull(manipulator)

@@ -103,27 +103,21 @@ def covered_share(counts: Array) -> Array:
 
 
 class ChoiceReach(NamedTuple):
-    """The result of one choice."""
-
     reach: Reach | None  # None if the choice leaves a module without a state
-    least: Array | None  # with the last choice of a share: the least counts over the share, see `LockedReach`
+    least: Array | None  # only with the last choice of a share: the least counts over the share, see `LockedReach`
 
 
 class LocksJob(NamedTuple):
-    """Maps an arm with locked actuators; what all choices have in common.
-
-    Attributes:
-        low, high, pixel: box of its workspace in the densities, and its pixel.
-    """
+    """Maps an arm with locked actuators; constant for all choices."""
 
     manipulator: Manipulator  # the free arm
-    low: Array
-    high: Array
-    pixel: float
+    low: Array  # lower corner of its workspace in the densities
+    high: Array  # upper corner
+    pixel: float  # of the densities
     tolerance: float  # see `reach_when_locked`
 
     def prepare(self) -> Run:
-        """Maps the free arm; returns what maps the choices (A,) of a share."""
+        """Maps the free arm; returns a function that maps the choices (A,) of a share."""
         free = free_arm(self)
 
         def run(share: list[LockedStates]) -> Iterator[ChoiceReach]:
@@ -141,7 +135,6 @@ class LocksJob(NamedTuple):
 
 
 def free_arm(job: LocksJob) -> FreeArm:
-    """Maps the free arm."""
     manipulator, low, high, finest, tolerance = job
     most, dimension = PIXELS[manipulator.dimension], manipulator.dimension
     pixel = coarsened(finest, low, high, most, dimension)
@@ -165,9 +158,7 @@ def reach_when_locked(
     """Returns reach and redundancy over choices of locked actuators, which `spread` maps.
 
     The box of the workspace is that of the densities; `tolerance` is the greatest distance of the tip from a goal.
-
-    Raises:
-        ValueError: the arm has fewer actuators with two states.
+    Raises ValueError if the arm has fewer actuators with two states.
     """
     chosen, every = choices(manipulator, *locks)
     job = LocksJob(manipulator, *densities.box(0), float(densities.pixels[0]), tolerance)
@@ -187,11 +178,7 @@ def reach_when_locked(
 
 
 def choices(manipulator: Manipulator, locks: int, samples: int, seed: int) -> tuple[list[LockedStates], bool]:
-    """Returns choices of locked states, each (A,), and whether these are all choices.
-
-    Raises:
-        ValueError: the arm has fewer actuators with two states.
-    """
+    """Returns choices of locked states, each (A,), and whether these are all. Raises ValueError for too many locks."""
     rows = [module.bits for module in manipulator.modules]
     moving = np.flatnonzero(np.concatenate([bits.min(axis=0) < bits.max(axis=0) for bits in rows])).tolist()
     if not 1 <= locks <= len(moving):
@@ -223,7 +210,6 @@ def random_choices(moving: list[int], locks: int, seed: int) -> Iterator[tuple[t
 
 
 def last_locked(manipulator: Manipulator, locked: LockedStates) -> int:
-    """Returns the last module with a locked actuator."""
     owners = np.repeat(np.arange(len(manipulator.modules)), [len(m.actuators) for m in manipulator.modules])
     return int(owners[locked >= 0].max())
 

@@ -50,10 +50,8 @@ def map_densities(
     """Returns the densities of all intermediate workspaces (section 3.1.1); the base frame is not used.
 
     `pixel` is the finest side of a pixel, in the arm's unit of length. A level has at most `level_pixels`; the pixels
-    of larger levels are coarser. `progress` is called with the number of levels done, at last B+1.
-
-    Raises:
-        ValueError: a bound is not positive.
+    of larger levels are coarser. `progress` is called with the number of levels done, at last B+1. Raises ValueError
+    unless both bounds are positive.
     """
     if pixel <= 0 or level_pixels < 1:
         raise ValueError(f"pixel {pixel:g} and pixels per level {level_pixels} must be positive")

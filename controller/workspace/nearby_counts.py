@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 CountMethod = Literal["listing", "halves", "draws"]
 
 LISTED = 1 << 21  # most tips of the last modules to list
-LISTED_FOR_DRAWS = 1 << 16  # the same if the modules before are drawn: each draw compares many
-COMPARED = 1 << 15  # most configurations of the modules before them to compare one by one
+LISTED_FOR_DRAWS = 1 << 16  # the same for drawn modules before: each draw compares many
+COMPARED = 1 << 15  # most configurations of the modules before, to compare one by one
 DRAWS = 512  # draws for a position if the modules before are drawn
 AT_ONCE = 1 << 19  # positions in frames of the listed modules, at once in memory
 
@@ -113,11 +113,7 @@ def sorted_tips(tips: Array, radius: float, dimension: int) -> TipCells:
 
 @njit(int64(CELLS, F2, float64, F1), cache=True, nogil=True, error_model="numpy")
 def count_near(cells: TipCells, points: Array, radius: float, counts: Array) -> int:
-    """Writes the number of tips within a radius of each point (n, 3) to `counts` (n,).
-
-    Returns:
-        Number of distances computed.
-    """
+    """Writes the number of tips within a radius of each point (n, 3) to `counts` (n,); returns the number of tests."""
     tips, offsets, shape, reference, side = cells
     height, width = shape[1], shape[2]
     square, tests, low, high = radius * radius, 0, np.empty(3, np.int64), np.empty(3, np.int64)

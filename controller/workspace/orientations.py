@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 ENUMERATED = 1 << 15  # most configurations of the last modules, and of the modules before them, to enumerate
-UNSURE = 0.02  # probability of a uniform choice of state instead of one by density
+UNSURE = 0.02  # probability of choosing a state uniformly instead of by density
 AT_ONCE = 2048  # samples drawn together
 ACCURACY = 0.02  # relative standard error of the count at which sampling stops
 
@@ -118,9 +118,8 @@ def orientations_at(
 def match_ends(samples: OrientationSamples, ends: Frame, tree: "cKDTree", radius: float) -> tuple[Array, Array, Array]:
     """Returns the pairs of n samples and of ends (m, 4, 4), in their frames, whose tip is within `radius` of the goal.
 
-    Returns:
-        Rotation of the tip in frame F_0 and weight of each pair, shapes (p, 3, 3) and (p,), and sum of the weights of
-        each sample, shape (n,).
+    They are given as rotation of the tip in frame F_0 (p, 3, 3) and weight (p,). The third result is the sum of the
+    weights of each sample (n,).
     """
     near = tree.query_ball_point(samples.points, radius)
     owners = np.repeat(np.arange(len(near)), [len(found) for found in near])
@@ -155,14 +154,9 @@ def listed_from(manipulator: Manipulator, most: int) -> int:
 
 @njit(void(F1, TABLES, LEVELS, F2, SAMPLES), cache=True, nogil=True, error_model="numpy")
 def draw(goal: Array, arm: ReachTables, levels: Levels, randoms: Array, samples: OrientationSamples) -> None:
-    """Draws a state for each of the first modules; writes the samples.
+    """Draws a state for each of the first modules, and writes n samples; `goal` (3,) is in frame F_0.
 
-    Args:
-        goal: position in frame F_0, shape (3,).
-        arm: configuration sets.
-        levels: densities.
-        randoms: uniform random numbers from 0 to 1, shape (n, depth), one for each module.
-        samples: written, n of them.
+    `randoms` are uniform random numbers from 0 to 1, shape (n, depth), one for each module.
     """
     rotations, translations, states = arm
     most = states.max()

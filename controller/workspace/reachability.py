@@ -38,12 +38,10 @@ LEVELS = named(Levels, float32[::1], I1, I2, F2, F1)
 
 
 def tables_of(manipulator: Manipulator) -> ReachTables:
-    """Returns the configuration sets of an arm."""
     return ReachTables(manipulator.rotations, manipulator.translations, manipulator.states)
 
 
 def levels_of(densities: Densities) -> Levels:
-    """Returns the arrays of densities."""
     return Levels(densities.values, densities.offsets, densities.shapes, densities.references, densities.pixels)
 
 

@@ -1,1 +1,1 @@
-"""A CANopen master for many two-state boards: pure state machines, and `bus`, the only module with I/O."""
+"""A CANopen master for many two-state boards: pure state machines. Only `wire.bus` does I/O."""

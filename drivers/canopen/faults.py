@@ -17,22 +17,19 @@ class Busy(Exception):
 class ArmFault:
     """A fault of the arm: of its boards, buses and actuators, or of the executor.
 
-    Attributes:
-        code: a short stable word. The master reports "board-missing", "board-lost", "board-rebooted", "board-stopped",
-            "wrong-device", "wrong-length", "sdo-refused", "emergency", "bus-off", "bus-down", "bus-busy",
-            "bus-passive", "foreign-master", "not-verified", "duplicate-node" and "halted"; the executor
-            adds "stuck", "unexpected-motion", "pulse-overdue" and others.
-        source: a board ("can0/5"), a bus ("can0") or an actuator ("5.left (can0/5 output 0)").
-        message: a sentence for the user.
+    The master reports the codes "board-missing", "board-lost", "board-rebooted", "board-stopped", "wrong-device",
+    "wrong-length", "sdo-refused", "emergency", "bus-off", "bus-down", "bus-busy", "bus-passive", "foreign-master",
+    "not-verified", "duplicate-node" and "halted". The executor adds "stuck", "unexpected-motion", "pulse-overdue" and
+    others.
     """
 
     code: str
-    source: str
-    message: str
+    source: str  # a board ("can0/5"), a bus ("can0") or an actuator ("5.left (can0/5 output 0)")
+    message: str  # a sentence for the user
 
 
 def board_error(board: str, text: str) -> ArmFault:
-    """Returns the fault of a board whose error register is set; `text` says what was read from it."""
+    """Returns the fault of a board whose error register is set; `text`: what was read from it."""
     advice = (
         f"Remove its cause, then reset. An error without a cause ends with a restart of the board: switch its"
         f" supply off and on, or stop the executor, and: hyperbit board ARM.yaml {board} reset"
@@ -58,7 +55,6 @@ class FaultLog:
             self._new.append(fault)
 
     def drain(self) -> list[ArmFault]:
-        """Returns the faults that were reported since the last call."""
         new, self._new = self._new, []
         return new
 

@@ -17,40 +17,23 @@ MOST_BYTES = 4 * _PDO_BYTES  # of one board and direction: four COB-IDs contain 
 
 @dataclass(frozen=True)
 class BoardLayout:
-    """The wiring of one board.
-
-    Attributes:
-        settings: its entry in the arm's file, or defaults.
-        outputs: its output lines with their bits of 6200h or of the maker's object.
-        inputs: its input lines with their bits of 6000h.
-        rpdos: the RPDOs that carry its outputs.
-        tpdos: the TPDOs that carry its inputs.
-        shared: whether other boards share its RPDO.
-        actuators: mask of the actuators with an output or an end-stop on it.
-        sensed: mask of its output lines whose actuators have an end-stop, on this board or another one.
-        pairs: masks of the output bits `output` and `output_off` of each actuator with two outputs.
-        loss: mask of the output bits with a loss level, and these levels as the board has them in 6207h.
-    """
-
-    settings: NodeWiring
-    outputs: tuple[Bit, ...]
-    inputs: tuple[Bit, ...]
+    settings: NodeWiring  # its entry in the arm's file, or defaults
+    outputs: tuple[Bit, ...]  # lines with their bits of 6200h or of the maker's object
+    inputs: tuple[Bit, ...]  # lines with their bits of 6000h
     rpdos: tuple[Pdo, ...]
     tpdos: tuple[Pdo, ...]
-    shared: bool
-    actuators: int
-    sensed: int
-    pairs: tuple[tuple[int, int], ...]
-    loss: tuple[int, int]
+    shared: bool  # other boards share its RPDO
+    actuators: int  # mask of the actuators with an output or an end-stop on it
+    sensed: int  # mask of its output lines whose actuators have an end-stop, on this board or another one
+    pairs: tuple[tuple[int, int], ...]  # masks of the bits `output` and `output_off` of each actuator with two outputs
+    loss: tuple[int, int]  # mask of the output bits with a loss level, and these levels as in 6207h
 
     @property
     def bus(self) -> str:
-        """Name of its bus."""
         return self.settings.bus
 
     @property
     def node(self) -> int:
-        """Node id."""
         return self.settings.node
 
     @property
@@ -60,22 +43,18 @@ class BoardLayout:
 
     @property
     def output_lines(self) -> int:
-        """Mask of its output lines."""
         return sum(bit.line for bit in self.outputs)
 
     @property
     def output_bits(self) -> int:
-        """Mask of the used bits of its outputs."""
         return sum(bit.place for bit in self.outputs)
 
     @property
     def input_lines(self) -> int:
-        """Mask of its input lines."""
         return sum(bit.line for bit in self.inputs)
 
     @property
     def input_bits(self) -> int:
-        """Mask of the used bits of its inputs."""
         return sum(bit.place for bit in self.inputs)
 
     @property
@@ -86,27 +65,14 @@ class BoardLayout:
 
 @dataclass(frozen=True)
 class Layout:
-    """All boards of an arm.
-
-    Attributes:
-        boards: all boards, by bus in the order of the wiring, then by node id.
-        board_of: index of the board with the outputs of each actuator.
-        input_boards_of: indices of the boards with the end-stops of each actuator; none without end-stops.
-    """
-
-    boards: tuple[BoardLayout, ...]
-    board_of: tuple[int, ...]
+    boards: tuple[BoardLayout, ...]  # by bus in the order of the wiring, then by node id
+    board_of: tuple[int, ...]  # index of the board with the outputs of each actuator
+    # indices of the boards with the end-stops of each actuator; none without end-stops
     input_boards_of: tuple[tuple[int, ...], ...]
 
 
 class Unfit(ValueError):
-    """A board's outputs or inputs do not fit in its PDOs.
-
-    Attributes:
-        board: the board.
-        kind: "output" or "input".
-        byte: index of the first byte that does not fit, counted from 0.
-    """
+    """A board's outputs or inputs do not fit in its PDOs. `byte` is the first that does not fit, counted from 0."""
 
     def __init__(self, board: BoardId, kind: str, subs: tuple[int, ...]) -> None:
         super().__init__(f"board {board}: its {kind}s are in {len(subs)} bytes; {MOST_BYTES} fit in four PDOs")
@@ -114,11 +80,7 @@ class Unfit(ValueError):
 
 
 def lay_out(wiring: Wiring) -> Layout:
-    """Assigns the boards' bits to PDOs.
-
-    Raises:
-        Unfit: a board's outputs or inputs do not fit in four PDOs.
-    """
+    """Assigns the boards' bits to PDOs. Raises Unfit if a board's outputs or inputs do not fit in four PDOs."""
     outputs, inputs = _by_board(wiring.output_lines), _by_board(wiring.input_lines)
     objects = {BoardId(node.bus, node.node): node for node in wiring.nodes}
     groups = _groups({place: outputs[place] for place in wiring.boards if place in outputs}, wiring.shared_rpdo)

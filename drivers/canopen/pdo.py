@@ -9,19 +9,10 @@ OUTPUTS, INPUTS = 0x6200, 0x6000  # arrays of bytes (CiA 401)
 
 
 class Pdo(NamedTuple):
-    """One PDO of a board.
-
-    Attributes:
-        parameters: index of its communication parameters, from 1400h or 1800h; its mapping is 200h above.
-        cob_id: COB-ID of its frame.
-        mapping: entries of its mapping, dummy entries included.
-        on_sync: whether a SYNC applies it; otherwise its frame does at once.
-    """
-
-    parameters: int
+    parameters: int  # index of its communication parameters, from 1400h or 1800h; its mapping is 200h above
     cob_id: int
-    mapping: tuple[int, ...]
-    on_sync: bool = True
+    mapping: tuple[int, ...]  # entries, dummy entries included
+    on_sync: bool = True  # a SYNC applies it; otherwise its frame does at once
 
     @property
     def size(self) -> int:
@@ -30,17 +21,11 @@ class Pdo(NamedTuple):
 
 
 class Carried(NamedTuple):
-    """Successive bits of a board in a PDO, whose bytes are one little-endian number.
+    """Successive bits of a board in a PDO, whose bytes are one little-endian number."""
 
-    Attributes:
-        bit: the first bit, as in the wiring.
-        place: position of this bit in the number.
-        width: number of bits.
-    """
-
-    bit: int
-    place: int
-    width: int
+    bit: int  # the first bit, as in the wiring
+    place: int  # position of this bit in the number
+    width: int  # number of bits
 
 
 class Bit(NamedTuple):
@@ -69,7 +54,6 @@ def carries(mapping: Iterable[int], base: int) -> list[Carried]:
 
 
 def carried_bits(pdos: Iterable[Pdo], base: int) -> int:
-    """Returns the mask of the bits that PDOs carry."""
     return union(((1 << c.width) - 1) << c.bit for pdo in pdos for c in carries(pdo.mapping, base))
 
 
@@ -79,7 +63,6 @@ def subs_of(bits: int) -> tuple[int, ...]:
 
 
 def union(masks: Iterable[int]) -> int:
-    """Returns the union of masks."""
     whole = 0
     for mask in masks:
         whole |= mask

@@ -18,19 +18,12 @@ ErrorState = Literal["off", "hold", "device"]
 
 @dataclass(frozen=True)
 class BusWiring:
-    """One CAN bus.
+    """One CAN bus."""
 
-    Attributes:
-        name: name in the arm's file and in messages, e.g. "can0".
-        interface: interface of python-can, e.g. "socketcan" or "virtual".
-        channel: channel of that interface, e.g. "can0".
-        bitrate: [bit/s]. On SocketCAN only the load figure uses it; the system configures the interface.
-    """
-
-    name: str
-    interface: str
-    channel: str
-    bitrate: int = 1_000_000
+    name: str  # in the arm's file and in messages, e.g. "can0"
+    interface: str  # of python-can, e.g. "socketcan" or "virtual"
+    channel: str  # of that interface, e.g. "can0"
+    bitrate: int = 1_000_000  # [bit/s]; on SocketCAN only the load figure uses it: the system configures the interface
 
 
 class BoardId(NamedTuple):
@@ -44,23 +37,13 @@ class BoardId(NamedTuple):
 
 
 class BoardLine(NamedTuple):
-    """One output or input of a board.
-
-    Attributes:
-        bus: name of its bus.
-        node: node id of its board.
-        bit: bit of 6200h or 6000h.
-        inverted: whether it is electrically 0 while its level is 1.
-    """
-
     bus: str
     node: int
-    bit: int
-    inverted: bool = False
+    bit: int  # of 6200h or 6000h
+    inverted: bool = False  # electrically 0 while its level is 1
 
     @property
     def board(self) -> BoardId:
-        """Its board."""
         return BoardId(self.bus, self.node)
 
 
@@ -71,40 +54,27 @@ class Channel:
     An actuator with `output_off` has two outputs. At most one of them is on; while both are off, the actuator stays
     where it is. All its outputs are on one board. Its inputs may be on other boards, also of other buses.
 
-    Attributes:
-        actuator: label for messages, e.g. "5.left".
-        bus: name of a bus.
-        node: node id of the board of its outputs, 1..126 (127 is the master).
-        output: bit of 6200h that extends it, 0..2031 (sub-index 1 + bit // 8).
-        input: bit of 6000h that reads 1 while the actuator is extended; None without that end-stop.
-        output_off: bit of 6200h that contracts it; None: a spring contracts it while `output` is off.
-        input_contracted: bit of 6000h that reads 1 while the actuator is contracted; None without that end-stop.
-        inverted: names of the fields among these four whose bit is electrically 0 while its level is 1.
-        pulse: an output is on for this time after a switch [s]; None: it stays on.
-        travel: longest times to the contracted and to the extended end [s]; None: `Timing.travel_time`.
-        settle_margin: margin after the travel time [s]; None: `Timing.settle_margin`.
-        on_loss: as in `Wiring`, for this actuator alone; None: as in `Wiring`.
-        input_board: board of `input`; None: the board of the outputs.
-        input_contracted_board: board of `input_contracted`, likewise.
-
     Raises:
         ValueError: a number is out of its range, or the fields contradict each other.
     """
 
-    actuator: str
+    actuator: str  # label for messages, e.g. "5.left"
     bus: str
-    node: int
-    output: int
-    input: int | None
-    output_off: int | None = None
+    node: int  # of the board of its outputs, 1..126 (127 is the master)
+    output: int  # bit of 6200h that extends it, 0..2031 (sub-index 1 + bit // 8)
+    input: int | None  # bit of 6000h that reads 1 while the actuator is extended; None: no such end-stop
+    output_off: int | None = None  # bit of 6200h that contracts it; None: a spring contracts it while `output` is off
+    # bit of 6000h that reads 1 while the actuator is contracted; None: no such end-stop
     input_contracted: int | None = None
+    # names of these four fields whose bit is electrically 0 while its level is 1
     inverted: frozenset[str] = frozenset()
-    pulse: float | None = None
+    pulse: float | None = None  # an output is on for this time after a switch [s]; None: it stays on
+    # longest times to the contracted and to the extended end [s]; None: `Timing.travel_time`
     travel: tuple[float, float] | None = None
-    settle_margin: float | None = None
-    on_loss: OnLoss | None = None
-    input_board: BoardId | None = None
-    input_contracted_board: BoardId | None = None
+    settle_margin: float | None = None  # after the travel time [s]; None: `Timing.settle_margin`
+    on_loss: OnLoss | None = None  # None: as in `Wiring`
+    input_board: BoardId | None = None  # of `input`; None: the board of the outputs
+    input_contracted_board: BoardId | None = None  # likewise
 
     def __post_init__(self) -> None:
         for node in (self.node, *(board.node for board in (self.input_board, self.input_contracted_board) if board)):
@@ -138,56 +108,32 @@ class Channel:
 
 @dataclass(frozen=True)
 class Interlock:
-    """An input that must be closed, level 1, while anything moves: emergency stop, air pressure, guard door.
+    """An input that must be closed, level 1, while anything moves: emergency stop, air pressure, guard door."""
 
-    Attributes:
-        name: name for messages.
-        bus: name of a bus.
-        node: node id of its board.
-        input: bit of 6000h.
-        inverted: whether the bit is 0 while the interlock is closed.
-    """
-
-    name: str
+    name: str  # for messages
     bus: str
     node: int
-    input: int
-    inverted: bool = False
+    input: int  # bit of 6000h
+    inverted: bool = False  # the bit is 0 while the interlock is closed
 
     @property
     def line(self) -> BoardLine:
-        """The input line."""
         return BoardLine(self.bus, self.node, self.input, self.inverted)
 
 
 @dataclass(frozen=True)
 class NodeWiring:
-    """The entry of one board in `boards.nodes` of the arm's file.
-
-    Attributes:
-        bus: name of a bus.
-        node: node id.
-        object: index of its outputs, an array of bytes from sub-index 1: 6200h, or 2000h..5FFFh of a maker.
-        vendor: needed value of 1018h sub 1; None: any.
-        product: 1018h sub 2, likewise.
-        revision: 1018h sub 3, likewise.
-        serial: 1018h sub 4, likewise.
-        error_state: as in `Wiring`, for this board alone; None: as in `Wiring`.
-        verify: whether a switch without end-stops counts only when its outputs were read back.
-
-    Raises:
-        ValueError: a number is out of its range.
-    """
+    """The entry of one board in `boards.nodes` of the arm's file. Raises ValueError for a number out of range."""
 
     bus: str
     node: int
-    object: int = 0x6200
-    vendor: int | None = None
-    product: int | None = None
-    revision: int | None = None
-    serial: int | None = None
-    error_state: ErrorState | None = None
-    verify: bool = True
+    object: int = 0x6200  # index of its outputs, an array of bytes from sub-index 1: 6200h, or 2000h..5FFFh of a maker
+    vendor: int | None = None  # needed value of 1018h sub 1; None: any
+    product: int | None = None  # 1018h sub 2, likewise
+    revision: int | None = None  # 1018h sub 3, likewise
+    serial: int | None = None  # 1018h sub 4, likewise
+    error_state: ErrorState | None = None  # None: as in `Wiring`
+    verify: bool = True  # a switch without end-stops counts only after its outputs were read back
 
     def __post_init__(self) -> None:
         if self.object != 0x6200 and not 0x2000 <= self.object <= 0x5FFF:
@@ -198,28 +144,21 @@ class NodeWiring:
 class Wiring:
     """The wiring of one arm.
 
-    Attributes:
-        buses: the CAN buses.
-        channels: one for each actuator.
-        on_loss: what the outputs do when the boards lose the master.
-        shared_rpdo: boards of a bus share frames of up to 8 output bytes (dummy mapping, CiA 301, 7.4.7).
-        error_state: what the outputs of boards without 6206h and 6207h do when the boards lose the master, as the user
-            knows it: they go "off", "hold", or do what the "device" is set to; None: such boards are refused.
-        nodes: further settings of single boards.
-        interlocks: inputs that must be closed while anything moves.
+    `error_state` says what outputs of boards without 6206h and 6207h do when the boards lose the master: they go "off",
+    "hold", or do what the "device" is set to. With None such boards are refused.
 
     Raises:
-        ValueError: a name, output, input or node occurs twice, a channel, node or interlock names an unknown bus, or
-            an actuator with pulses has on_loss "contract".
+        ValueError: a name, output, input or node occurs twice, a channel, node or interlock names an unknown bus, or an
+            actuator with pulses has on_loss "contract".
     """
 
     buses: tuple[BusWiring, ...]
-    channels: tuple[Channel, ...]
-    on_loss: OnLoss = "hold"
-    shared_rpdo: bool = False
+    channels: tuple[Channel, ...]  # one for each actuator
+    on_loss: OnLoss = "hold"  # what outputs do when the boards lose the master
+    shared_rpdo: bool = False  # boards of a bus share frames of up to 8 output bytes (dummy mapping, CiA 301, 7.4.7)
     error_state: ErrorState | None = None
-    nodes: tuple[NodeWiring, ...] = ()
-    interlocks: tuple[Interlock, ...] = ()
+    nodes: tuple[NodeWiring, ...] = ()  # further settings of single boards
+    interlocks: tuple[Interlock, ...] = ()  # inputs that must be closed while anything moves
 
     def __post_init__(self) -> None:
         names = [bus.name for bus in self.buses]
@@ -258,7 +197,7 @@ class Wiring:
 
     @cached_property
     def ended(self) -> tuple[int, ...]:
-        """Indices of the actuators with an `input_contracted`; input line A + i is that of the i-th of them."""
+        """Indices of the actuators with an `input_contracted`; input line A + i belongs to the i-th of them."""
         return tuple(k for k, channel in enumerate(self.channels) if channel.input_contracted is not None)
 
     @cached_property
@@ -297,24 +236,14 @@ class Wiring:
 
 @dataclass(frozen=True)
 class Timing:
-    """Times of boards and actuators, all in [s].
+    """Times of boards and actuators, all in [s]. Raises ValueError if a time is out of its range."""
 
-    Attributes:
-        heartbeat: period of the heartbeats of the boards (1017h) and of the master.
-        heartbeat_timeout: a board silent for this long is lost; the boards get the same for the master (1016h).
-        boot_timeout: longest time that boards need to boot, and to become operational.
-        travel_time: longest time of an actuator from end to end.
-        settle_margin: added to the travel time before the measured state is compared with the commanded one.
-
-    Raises:
-        ValueError: a time is out of its range.
-    """
-
-    heartbeat: float = 0.1
+    heartbeat: float = 0.1  # period of the boards (1017h) and of the master
+    # a board silent for this long is lost; the boards get the same for the master (1016h)
     heartbeat_timeout: float = 0.35
-    boot_timeout: float = 3.0
-    travel_time: float = 0.05
-    settle_margin: float = 0.03
+    boot_timeout: float = 3.0  # longest time that boards need to boot, and to become operational
+    travel_time: float = 0.05  # longest time of an actuator from end to end
+    settle_margin: float = 0.03  # added to the travel time before the measured state is compared with the commanded one
 
     def __post_init__(self) -> None:
         if not 0.001 <= self.heartbeat < self.heartbeat_timeout <= 65.535:

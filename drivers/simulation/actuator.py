@@ -22,21 +22,11 @@ class Actuator:
     stroke away from that end. In mid-stroke both switches are open.
 
     Args:
-        label: label in the wiring.
-        travel_time: time from end to end [s].
-        contract_time: time from extended to contracted [s]; None: `travel_time`.
-        least_pulse: shortest time for which one of two coils must be energised to switch the valve [s]; None: one coil.
+        travel_time: from end to end [s].
+        contract_time: from extended to contracted [s]; None: `travel_time`.
+        least_pulse: shortest pulse of one of two coils that switches the valve [s]; None: one coil.
         rest: end to which the spring returns the actuator.
         inverted: whether the switches at the contracted and the extended end read 0 while closed.
-
-    Attributes:
-        position: 0..1.
-        driven: end to which the valve drives the actuator.
-        switches: number of switches of the valve.
-        coils: whether the coils `on` and `off` are energised.
-        both_on: number of times when both coils were energised.
-        longest_pulse: longest time for which one of two coils was energised [s].
-        observers: called after a switch has opened or closed.
     """
 
     def __init__(
@@ -50,13 +40,13 @@ class Actuator:
         inverted: tuple[bool, bool] = (False, False),
     ) -> None:
         self.label = label
-        self.position = float(rest)
-        self.driven = rest
-        self.switches = 0
-        self.coils = (0, 0)
-        self.both_on = 0
-        self.longest_pulse = 0.0
-        self.observers: list[Callable[[], None]] = []
+        self.position = float(rest)  # 0..1
+        self.driven = rest  # end to which the valve drives the actuator
+        self.switches = 0  # number of switches of the valve
+        self.coils = (0, 0)  # whether `on` and `off` are energised
+        self.both_on = 0  # number of times when both coils were energised
+        self.longest_pulse = 0.0  # of one of two coils [s]
+        self.observers: list[Callable[[], None]] = []  # called after a switch has opened or closed
         self._times = (travel_time if contract_time is None else contract_time, travel_time)
         self._two_coils = least_pulse is not None
         self._least_pulse = least_pulse or 0.0
@@ -87,13 +77,12 @@ class Actuator:
         time = self._time(target)
         next_ = self._now + way * time
         for end in (CONTRACTED, EXTENDED):
-            rest = _OPENS - abs(self.position - end)  # of the stroke, until the switch opens
+            rest = _OPENS - abs(self.position - end)  # share of the stroke until the switch opens
             if self._closed[end] and 0.0 < rest < way and abs(target - end) > abs(self.position - end):
                 next_ = min(next_, self._now + rest * time)
         return min(next_, self._flips_at)
 
     def drive(self, on: int, now: float, off: int = 0) -> None:
-        """Energises the coils (1) or not (0)."""
         self.step(now)
         if (on, off) == self.coils:
             return
@@ -110,7 +99,6 @@ class Actuator:
             self._flips_at = math.inf
 
     def step(self, now: float) -> None:
-        """Moves the actuator up to the time `now` [s]."""
         if self._flips_at <= now + _NEAR:
             self._advance(self._flips_at)
             self._flips_at = math.inf
@@ -133,11 +121,10 @@ class Actuator:
         self._stuck = state
 
     def jam(self, position: float | None = None) -> None:
-        """Blocks the actuator at a position when it arrives there; None: at its present position."""
+        """Blocks the actuator when it arrives at a position; None: at its present position."""
         self._jam = self.position if position is None else position
 
     def release(self) -> None:
-        """Makes the actuator follow its valve again."""
         self._stuck = self._jam = None
 
     def slow(self, factor: float) -> None:
@@ -157,12 +144,11 @@ class Actuator:
         self._wire = 0
 
     def restore_sensor(self) -> None:
-        """Ends the faults of the end-stop switches."""
         self._wire = None
 
     @property
     def _target(self) -> float:
-        """The position to which it moves: an end, or the position at which it is blocked."""
+        """An end, or the position at which the actuator is blocked."""
         end = self.driven if self._stuck is None else self._stuck
         if self._jam is None:
             return float(end)
@@ -170,7 +156,7 @@ class Actuator:
         return self._jam if low <= self._jam <= high or abs(self.position - self._jam) < _NEAR else float(end)
 
     def _time(self, target: float) -> float:
-        """Returns the time from end to end in the direction of the target [s]."""
+        """Returns the travel time from end to end towards the target [s]."""
         return self._times[target > self.position] * self._slowness
 
     def _switch(self, end: int) -> None:

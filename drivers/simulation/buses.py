@@ -11,7 +11,7 @@ from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wiring import LINES, BoardId, Channel, Timing, Wiring
 from hyperbit.drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
 from hyperbit.drivers.simulation.firmware import SimulatedBoard, Wired
-from hyperbit.drivers.simulation.variants import STANDARD, Variant
+from hyperbit.drivers.simulation.variants import STANDARD, Variant, as_wired
 
 _ORDINARY = 0.5  # travel time of an actuator without faults, as a fraction of the longest travel time
 _LEAST_PULSE = 0.005  # [s] for which one of two coils must be energised
@@ -24,7 +24,6 @@ class SimulatedBuses:
     A board answers before `receive` returns. Times never decrease. Faults take effect at the time of the last call.
 
     Args:
-        wiring: buses, boards and actuators.
         timing: gives the travel time; simulated actuators take half of it.
         send: takes the name of a bus and a frame that a board sends on it.
         variants: variants of boards by name, e.g. "can0/5"; the other boards are standard boards.
@@ -50,8 +49,11 @@ class SimulatedBuses:
         self._interlocks = {lock.name: lock for lock in wiring.interlocks}
         self._boards: dict[str, dict[int, SimulatedBoard]] = {bus.name: {} for bus in wiring.buses}
         self._by_name: dict[str, SimulatedBoard] = {}
+        listed = {(entry.bus, entry.node): entry for entry in wiring.nodes}
         for (bus, node), here in wire(wiring, self._actuators).items():
             variant = (variants or {}).get(f"{bus}/{node}", STANDARD)
+            if (bus, node) in listed:
+                variant = as_wired(variant, listed[bus, node], wiring.error_state)
             board = SimulatedBoard(node, here, partial(self._send, bus), variant)
             self._boards[bus][node] = self._by_name[f"{bus}/{node}"] = board
         for name in variants or {}:
@@ -66,7 +68,7 @@ class SimulatedBuses:
         if bus in self._off:
             return
         boards = self._boards[bus]
-        if frame.id & ~0x7F == cia301.SDO_REQUEST:  # for one board only, as most frames of a boot
+        if frame.id & ~0x7F == cia301.SDO_REQUEST:  # for one board only; this is the case for most frames of a boot
             node = frame.id & 0x7F
             if node in boards and boards[node].node == node:  # LSS may have changed its node id
                 boards = {node: boards[node]}
@@ -115,35 +117,27 @@ class SimulatedBuses:
         return [actuator.both_on for actuator in self._actuators.values()]
 
     def longest_pulses(self) -> list[float]:
-        """Returns the longest time for which one of two coils of each actuator was energised, shape (A,) [s]."""
+        """Returns the longest pulse of one of two coils of each actuator, shape (A,) [s]."""
         return [actuator.longest_pulse for actuator in self._actuators.values()]
 
     @property
     def labels(self) -> list[str]:
-        """Labels of the actuators, shape (A,)."""
         return list(self._actuators)
 
     @property
     def names(self) -> list[str]:
-        """Names of the boards, e.g. "can0/5"."""
         return list(self._by_name)
 
     @property
     def buses(self) -> list[str]:
-        """Names of the buses."""
         return list(self._boards)
 
     @property
     def interlocks(self) -> list[str]:
-        """Names of the interlocks."""
         return list(self._interlocks)
 
     def board(self, name: str) -> SimulatedBoard:
-        """Returns a board by its name, e.g. "can0/5".
-
-        Raises:
-            KeyError: there is no such board.
-        """
+        """Returns a board by its name, e.g. "can0/5". Raises KeyError if there is no such board."""
         if name not in self._by_name:
             raise KeyError(f"no board {name}, there are {', '.join(self._by_name)}")
         return self._by_name[name]
@@ -151,7 +145,7 @@ class SimulatedBuses:
     # --- faults, and their ends
 
     def bus_off(self, bus: str) -> None:
-        """Lets the computer's CAN controller go bus-off: no frame passes, in either direction."""
+        """Sets the computer's CAN controller to bus-off: no frame passes in either direction."""
         self._off.add(bus)
         self._report(bus, "bus-off")
 
@@ -161,7 +155,6 @@ class SimulatedBuses:
         self._report(bus, "active")
 
     def passes(self, bus: str) -> bool:
-        """Returns whether frames pass on a bus."""
         return bus not in self._off
 
     def silence(self, board: str) -> None:
@@ -169,11 +162,9 @@ class SimulatedBuses:
         self.board(board).silent = True
 
     def unsilence(self, board: str) -> None:
-        """Connects a board to the bus again."""
         self.board(board).silent = False
 
     def lose_tpdo(self, board: str) -> None:
-        """Loses the next TPDO of a board."""
         self.board(board).lose_tpdo()
 
     def power_cut(self, board: str) -> None:
@@ -197,11 +188,9 @@ class SimulatedBuses:
         self.board(board).emergencies.recover(code)
 
     def open_interlock(self, interlock: str) -> None:
-        """Opens an interlock."""
         self._set_interlock(interlock, 0)
 
     def close_interlock(self, interlock: str) -> None:
-        """Closes an interlock."""
         self._set_interlock(interlock, 1)
 
     def _set_interlock(self, name: str, level: int) -> None:
@@ -213,11 +202,7 @@ class SimulatedBuses:
 
     @contextmanager
     def actuator(self, label: str) -> Iterator[Actuator]:
-        """Yields an actuator at the time of the last call, for a change; then the boards read their inputs.
-
-        Raises:
-            KeyError: there is no such actuator.
-        """
+        """Yields an actuator at the time of the last call, for a change; then boards read inputs. Raises KeyError."""
         if label not in self._actuators:
             raise KeyError(f"no actuator {label}, there are {', '.join(self._actuators)}")
         self.step(self._now)
@@ -233,7 +218,6 @@ class SimulatedBuses:
 
 
 def build_actuator(channel: Channel, timing: Timing) -> Actuator:
-    """Returns the actuator of a channel, without faults."""
     to_contracted, to_extended = channel.travel or (timing.travel_time, timing.travel_time)
     single = channel.output_off is None
     return Actuator(
@@ -247,12 +231,7 @@ def build_actuator(channel: Channel, timing: Timing) -> Actuator:
 
 
 def wire(wiring: Wiring, actuators: Mapping[str, Actuator]) -> dict[BoardId, list[Wired]]:
-    """Returns the actuators of each board, with their outputs and inputs on this board.
-
-    Args:
-        wiring: of the arm.
-        actuators: all actuators by their labels.
-    """
+    """Returns the actuators of each board, with their outputs and inputs on this board."""
     wired: dict[BoardId, list[Wired]] = {board: [] for board in wiring.boards}
     for channel in wiring.channels:
         inverted = "output" in channel.inverted, "output_off" in channel.inverted
@@ -267,5 +246,4 @@ def wire(wiring: Wiring, actuators: Mapping[str, Actuator]) -> dict[BoardId, lis
 
 
 def board_names(wiring: Wiring) -> list[str]:
-    """Returns the names of the boards of a wiring, e.g. "can0/5"."""
     return [str(board) for board in wiring.boards]

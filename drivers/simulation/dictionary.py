@@ -1,4 +1,4 @@
-"""The object dictionary of a simulated board: that of the standard board, board.eds, with the changes of a variant."""
+"""The object dictionary of a simulated board: the standard one, board.eds, with the changes of a variant."""
 
 from __future__ import annotations
 
@@ -15,23 +15,12 @@ EDS = Path(__file__).with_name("board.eds")
 
 
 class Object(NamedTuple):
-    """One entry of an object dictionary.
-
-    Attributes:
-        size: length of its value [bytes].
-        default: value after a reset, little-endian.
-        relative: whether the node id is added to the default value, as in COB-IDs.
-        readable: whether SDO can read it.
-        writable: whether SDO can write it.
-        mappable: whether a PDO can carry it.
-    """
-
-    size: int
-    default: bytes
-    relative: bool = False
-    readable: bool = True
-    writable: bool = True
-    mappable: bool = False
+    size: int  # [bytes]
+    default: bytes  # value after a reset, little-endian
+    relative: bool = False  # the node id is added to the default value, as in COB-IDs
+    readable: bool = True  # by SDO
+    writable: bool = True  # by SDO
+    mappable: bool = False  # into a PDO
 
 
 Objects = Mapping[int, Mapping[int, Object]]  # by index and sub-index
@@ -39,7 +28,6 @@ Changes = Mapping[tuple[int, int], Object]
 
 
 def number(size: int, value: int = 0, **rights: bool) -> Object:
-    """Returns the entry of an unsigned number of `size` bytes."""
     return Object(size, value.to_bytes(size, "little"), **rights)
 
 
@@ -52,11 +40,8 @@ def array(index: int, values: Iterable[int], size: int = 1, **rights: bool) -> C
 def pdo(index: int, cob_id: int, entries: Iterable[int], *, fixed: bool = False) -> Changes:
     """Returns the communication parameters of a PDO, from 1400h or 1800h, and its mapping 200h above.
 
-    Args:
-        index: index of the communication parameters.
-        cob_id: COB-ID without the node id; bit 31 alone is a disabled PDO without a COB-ID.
-        entries: entries of the mapping.
-        fixed: whether the mapping is read-only.
+    `cob_id` has no node id; bit 31 alone is a disabled PDO without a COB-ID. `entries` are of the mapping, read-only if
+    `fixed`.
     """
     mapped = list(entries)
     filled = mapped if fixed else mapped + [0] * (8 - len(mapped))
@@ -74,7 +59,6 @@ def pdo(index: int, cob_id: int, entries: Iterable[int], *, fixed: bool = False)
 
 @functools.cache
 def standard() -> Objects:
-    """Returns the entries of the standard board."""
     described: dict[int, dict[int, Object]] = {}
     for index, found in canopen.import_od(str(EDS), 0).items():
         variables = [found] if isinstance(found, ODVariable) else found.values()
@@ -83,7 +67,7 @@ def standard() -> Objects:
 
 
 def changed(absent: Iterable[int], read_only: Iterable[int], changes: Changes) -> Objects:
-    """Returns the entries of the standard board without the absent indices, with changed and read-only ones."""
+    """Returns the entries of the standard board with changed and read-only ones, without the absent indices."""
     described = {index: dict(subs) for index, subs in standard().items() if index not in absent}
     for index in {index for index, _ in changes}:
         described[index] = {sub: entry for (i, sub), entry in changes.items() if i == index}

@@ -18,10 +18,8 @@ _ERROR_NUMBERS = {0x8130: 0x1B}  # CANopenNode's number of an error, in the high
 class Emergencies:
     """Sends one emergency when an error begins, and one when it ends.
 
-    Args:
-        objects: object dictionary with 1001h and 1003h.
-        send: takes the 8 bytes of an emergency.
-        logs_ends: whether the end of an error is an entry of 1003h too, with the error code 0000h.
+    `objects` has 1001h and 1003h; `send` takes 8 bytes. `logs_ends`: whether the end of an error is an entry of 1003h
+    too, with the error code 0000h.
     """
 
     def __init__(self, objects: Objects, send: Callable[[bytes], None], *, logs_ends: bool) -> None:
@@ -31,23 +29,22 @@ class Emergencies:
         self._present: dict[int, int] = {}  # bits of 1001h by code
 
     def reset(self) -> None:
-        """Forgets all errors without an emergency."""
         self._present.clear()
         self._set_register()
 
     def restore(self, errors: Iterable[StandingError]) -> None:
-        """Sets standing errors without an emergency: it was sent before."""
+        """Sets standing errors without an emergency: an earlier one reported them."""
         for code, register in errors:
             self._note(code, register)
 
     def report(self, code: int, register: int | None = None) -> None:
-        """Starts an error and sends its emergency, unless the error is there already."""
+        """Starts an error and sends its emergency, unless the error stands already."""
         if code not in self._present:
             self._note(code, _register(code) if register is None else register)
             self._tell(code)
 
     def recover(self, code: int) -> None:
-        """Ends an error, if it was there, and sends the emergency 0000h."""
+        """Ends a standing error, and sends the emergency 0000h."""
         if code in self._present:
             del self._present[code]
             self._set_register()
@@ -56,7 +53,6 @@ class Emergencies:
             self._tell(0)
 
     def clear_history(self) -> None:
-        """Empties the error history, 1003h."""
         for sub in (0, *_HISTORY):
             self._objects.set_number(0x1003, sub, 0)
 

@@ -1,6 +1,6 @@
-"""Commands that cause faults of simulated boards, typed by a person, sent by a page, or by a test.
+"""Commands that cause faults of simulated boards; a person, a page or a test sends them.
 
-A command is a verb, what it applies to, and for some verbs a number, such as "silence can0/5" or "stick 5.left 1".
+A command is a verb, its target, and for some verbs a number, such as "silence can0/5" or "stick 5.left 1".
 """
 
 from __future__ import annotations
@@ -14,17 +14,9 @@ if TYPE_CHECKING:
 
 
 class Verb(NamedTuple):
-    """What a verb does.
-
-    Attributes:
-        target: what it applies to.
-        argument: name of its number; in brackets if the number may be left out, "" if there is none.
-        text: one line for people.
-    """
-
     target: Literal["actuator", "board", "bus", "interlock"]
-    argument: str
-    text: str
+    argument: str  # name of its number; in brackets if it is optional, "" if there is none
+    text: str  # one line for people
 
 
 VERBS = {
@@ -64,23 +56,15 @@ def described() -> str:
 
 
 def play(boards: SimulatedBuses, text: str) -> str:
-    """Causes or ends the fault of a command; returns the answer. "help" returns all verbs.
-
-    Raises:
-        ValueError: the text is no command; the message names the choices.
-    """
+    """Plays a command and returns the answer; "help": all verbs. Raises ValueError with the choices."""
     if text.split() == ["help"]:
-        return f"faults:\n{described()}"
+        return "faults:\n" + "\n".join(f"  {usage(verb)} " for verb in VERBS)
     perform(boards, *text.split())
     return f"done: {' '.join(text.split())}"
 
 
 def perform(boards: SimulatedBuses, *words: str | float) -> None:
-    """Causes or ends a fault. The words are those of a command.
-
-    Raises:
-        ValueError: the words are no command; the message names the choices.
-    """
+    """Causes or ends a fault by the words of a command. Raises ValueError with the choices."""
     verb, name, arguments = str(words[0]) if words else "", str(words[1]) if len(words) > 1 else "", words[2:]
     if verb not in VERBS:
         raise ValueError(f"{verb!r} is no fault{nearest(verb, VERBS)} Faults: {', '.join(VERBS)}")
@@ -107,7 +91,6 @@ def perform(boards: SimulatedBuses, *words: str | float) -> None:
 
 
 def names(boards: SimulatedBuses, target: str) -> list[str]:
-    """Returns the names of all boards, buses, actuators or interlocks."""
     known = {"board": boards.names, "bus": boards.buses, "actuator": boards.labels, "interlock": boards.interlocks}
     return known[target]
 
@@ -141,16 +124,12 @@ def nearest(word: str, choices: Iterable[str]) -> str:
 
 
 def named(choices: list[str]) -> str:
-    """Returns all choices, or the first and the last of many."""
+    """Joins all choices, or the first and the last of many."""
     return ", ".join(choices) if len(choices) <= MOST_NAMED else f"{choices[0]} to {choices[-1]}"
 
 
 def error_code(text: str) -> int:
-    """Returns an error code of CiA 301 from its hexadecimal digits.
-
-    Raises:
-        ValueError: the text is no such number.
-    """
+    """Parses hexadecimal digits as an error code of CiA 301. Raises ValueError if they are none."""
     try:
         return int(text, 16) & 0xFFFF
     except ValueError:
@@ -158,11 +137,7 @@ def error_code(text: str) -> int:
 
 
 def number(text: str | float) -> float:
-    """Returns a finite number of at least 0.
-
-    Raises:
-        ValueError: the text is no such number.
-    """
+    """Returns a finite number of at least 0. Raises ValueError if the text is no such number."""
     try:
         value = float(text)
     except ValueError:
@@ -173,11 +148,7 @@ def number(text: str | float) -> float:
 
 
 def positive(text: str | float) -> float:
-    """Returns a positive, finite number.
-
-    Raises:
-        ValueError: the text is no such number.
-    """
+    """Returns a positive, finite number. Raises ValueError if the text is no such number."""
     if not (value := number(text)):
         raise ValueError(f"{text} is not a positive number")
     return value

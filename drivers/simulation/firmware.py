@@ -25,50 +25,28 @@ from hyperbit.drivers.simulation.variants import STANDARD, Variant
 _MASTER_LOST, _SYNC_LOST = 0x8130, 0x8100
 _EMERGENCY, _INPUTS = 0x1014, 0x6000
 _PDO_PARAMETERS = range(0x1400, 0x1C00)
-_MOST_SEGMENTS, _OUT_OF_MEMORY = 64, 0x0504_0005  # most bytes of a segmented write, and the abort code for more
+_MOST_SEGMENTS, _OUT_OF_MEMORY = 64, 0x0504_0005  # most bytes of a segmented write, and the abort code above
 _MOST_REQUESTS = 8  # SDO requests that wait in a board that answers slowly
 
 
 class Wired(NamedTuple):
-    """An actuator with the bits of its outputs and inputs; None: no such coil or switch is on this board.
-
-    Attributes:
-        actuator: the actuator.
-        output: output bit of its only coil, or of the coil that extends it.
-        input: input bit of the switch at the extended end.
-        output_off: output bit of the coil that contracts it.
-        input_contracted: input bit of the switch at the contracted end.
-        inverted: whether the coils of `output` and `output_off` are energised while their output is 0.
-        shared: whether other boards have coils or switches of the actuator, too.
-    """
+    """An actuator with the bits of its outputs and inputs; None: no such coil or switch is on this board."""
 
     actuator: Actuator
-    output: int | None
-    input: int | None
-    output_off: int | None = None
-    input_contracted: int | None = None
+    output: int | None  # bit of its only coil, or of the coil that extends it
+    input: int | None  # bit of the switch at the extended end
+    output_off: int | None = None  # bit of the coil that contracts it
+    input_contracted: int | None = None  # bit of the switch at the contracted end
+    # whether the coils of `output` and `output_off` are energised while their output is 0
     inverted: tuple[bool, bool] = (False, False)
-    shared: bool = False
+    shared: bool = False  # other boards have coils or switches of the actuator, too
 
 
 class SimulatedBoard:
     """One board with NMT, supervision, SDO server, PDOs, SYNC and emergencies according to CiA 301 and 401.
 
-    It has no I/O and no clock: `receive` takes frames, `step` takes the time, and `send` gets the board's frames.
-
-    Args:
-        node: node id.
-        wired: its actuators.
-        send: takes COB-ID and data of a frame.
-        variant: differences from the standard board.
-
-    Attributes:
-        state: NMT state; None without power, and while it starts.
-        contacts: levels of inputs other than end-stops, by bit; changes take effect at the next `step`.
-        silent: whether it is disconnected from the bus.
-        ignored: number of frames that were not understood.
-        started: levels of the pins before and after each START that made it operational.
-        lss: LSS slave with the node id.
+    It has no I/O and no clock: `receive` takes frames, `step` takes the time, and `send` gets the COB-ID and data of
+    the board's frames.
     """
 
     def __init__(
@@ -78,10 +56,12 @@ class SimulatedBoard:
         self.wired = tuple(wired)
         self.variant = variant
         self.objects = Objects(node, variant, self._written)
-        self.state: State | None = None
+        self.state: State | None = None  # NMT state; None without power, and while it starts
+        # levels of inputs other than end-stops, by bit; changes take effect at the next `step`
         self.contacts: dict[int, int] = {}
-        self.silent = False
-        self.ignored = 0
+        self.silent = False  # whether it is disconnected from the bus
+        self.ignored = 0  # number of frames that were not understood
+        # levels of the pins before and after each START that made it operational
         self.started: list[tuple[int, int]] = []
         self.emergencies = Emergencies(self.objects, self._send_emergency, logs_ends=variant.logs_ends)
         self._bus = send
@@ -95,17 +75,15 @@ class SimulatedBoard:
         self._now = 0.0
         self._inputs = 0
         for one in self.wired:
-            if one.shared:  # another board may move it up to an arrival
+            if one.shared:  # another board may move the actuator until it arrives
                 one.actuator.observers.append(self._observe)
 
     def _read_node(self) -> None:
-        """Applies the node id that LSS has stored."""
         self.node = node = self.objects.node = self.lss.node
         self._sdo = self._sdo_server()
         self._supervision = Supervision(node, self.objects, self.send_message, self._lose_master, self._hear_master)
 
     def _sdo_server(self) -> SdoServer:
-        """Returns an SDO server without a transfer."""
         server = SdoServer(  # type: ignore[no-untyped-call]
             cia301.SDO_REQUEST + self.node, cia301.SDO_ANSWER + self.node, self.objects
         )
@@ -132,16 +110,14 @@ class SimulatedBoard:
 
     @property
     def powered(self) -> bool:
-        """Whether the board has its supply."""
         return self.state is not None or self._boots_at < math.inf
 
     def lose_tpdo(self) -> None:
-        """Keeps its next TPDO from the bus."""
         self._pdos.losing += 1
 
     @property
     def pins(self) -> int:
-        """Levels of the output pins, which the coils see; bit k is output k."""
+        """Levels of the output pins, to which the coils are wired; bit k is output k."""
         return self._outputs.pins(self.state) if self.powered else 0
 
     @property
@@ -286,7 +262,7 @@ class SimulatedBoard:
         self._fall(_MASTER_LOST)
 
     def _fall(self, code: int) -> None:
-        """Begins the error state, and enters the NMT state that 1029h gives."""
+        """Begins the error state, and enters the NMT state of 1029h."""
         self.emergencies.report(code)
         self._outputs.fail_safe()
         self._drive()

@@ -21,23 +21,15 @@ _TIMINGS = range(9)  # indices of the table of bit rates
 
 
 class LssSlave:
-    """Node id and bit rate of a board, which an LSS master can change.
+    """Node id, or `UNCONFIGURED`, and bit rate of a board, which an LSS master can change.
 
-    Args:
-        identity: vendor, product, revision and serial number.
-        node: node id; `UNCONFIGURED` if it has none.
-        send: takes COB-ID and data of an answer.
-
-    Attributes:
-        node: node id that the board uses.
-        stored: node id and index of the bit rate after the next power-on.
-        state: LSS state, `WAITING` or `CONFIGURATION`.
+    `identity` is vendor, product, revision and serial number; `send` takes COB-ID and data of an answer.
     """
 
     def __init__(self, identity: Sequence[int], node: int, send: Callable[[int, bytes], None]) -> None:
-        self.node = node
-        self.stored = node, 0
-        self.state = WAITING
+        self.node = node  # in use; `UNCONFIGURED` if there is none
+        self.stored = node, 0  # node id and index of the bit rate after the next power-on
+        self.state = WAITING  # `WAITING` or `CONFIGURATION`
         self._identity, self._send = identity, send
         self._pending = self.stored
         self._selected = 0  # parts of the identity that have matched so far
@@ -49,7 +41,6 @@ class LssSlave:
         self._pending = self.stored
 
     def receive(self, data: bytes) -> None:
-        """Takes a request of the LSS master."""
         if len(data) != 8:
             return
         command, number = data[0], int.from_bytes(data[1:5], "little")

@@ -23,32 +23,25 @@ _MOST_BITS = 64  # of a PDO
 _HISTORY, _CONSUMER = 0x1003, 0x1016
 _TIMES = (0x100C, _CONSUMER, 0x1017)  # their low words are times [ms]
 
-# The library logs each SDO, with a traceback if it is malformed, and anybody on the bus can send such frames.
+# The library logs each SDO, a malformed one with a traceback. Anybody on the bus can send such frames.
 logging.getLogger("canopen.sdo").setLevel(logging.CRITICAL)
 
 
 class Objects:
-    """The values by index and sub-index. The SDO server of the package canopen uses this in place of a LocalNode.
+    """Values by index and sub-index. canopen's SDO server uses this class in place of a LocalNode.
 
-    Args:
-        node: node id, which is part of the COB-IDs.
-        variant: variant of the board.
-        on_write: called with index and sub-index after an SDO write.
-
-    Attributes:
-        refused: abort codes of objects that refuse every SDO, by index and sub-index.
-        shown: functions whose number an SDO upload returns in place of the value, by index and sub-index.
-        node: node id.
-        flash_writes: number of writes to the flash memory.
+    `on_write` is called with index and sub-index after an SDO write.
     """
 
     object_dictionary = None  # the SDO server reads this attribute, and does not use it
 
     def __init__(self, node: int, variant: Variant, on_write: Callable[[int, int], None]) -> None:
+        # abort codes of objects that refuse every SDO, by index and sub-index
         self.refused: dict[tuple[int, int], int] = {}
+        # functions whose number an SDO upload returns in place of the value, by index and sub-index
         self.shown: dict[tuple[int, int], Callable[[], int]] = {}
-        self.flash_writes = 0
-        self.node = node
+        self.flash_writes = 0  # number of writes to the flash memory
+        self.node = node  # node id, which is part of COB-IDs
         self._variant = variant
         self._described = variant.objects
         self._on_write = on_write
@@ -66,7 +59,6 @@ class Objects:
         return range(1, max(self._described.get(index, {0: None})) + 1)
 
     def has(self, index: int) -> bool:
-        """Returns whether there is such an object."""
         return index in self._described
 
     def number(self, index: int, sub: int = 0) -> int:
@@ -76,15 +68,10 @@ class Objects:
         return int.from_bytes(self._value(index, sub), "little")
 
     def set_number(self, index: int, sub: int, value: int) -> None:
-        """Sets an unsigned value from within the board."""
         self._values[index, sub] = value.to_bytes(self._find(index, sub).size, "little")
 
     def get_data(self, index: int, sub: int, check_readable: bool = False) -> bytes:
-        """Returns a value for an SDO upload.
-
-        Raises:
-            SdoAbortedError: there is no such object, or it cannot be read.
-        """
+        """Returns a value for an SDO upload. Raises SdoAbortedError if it does not exist or is not readable."""
         self._refuse(index, sub)
         if check_readable and not self._find(index, sub).readable:
             raise SdoAbortedError(_WRITE_ONLY)
@@ -95,11 +82,7 @@ class Objects:
         return self._value(index, sub)
 
     def set_data(self, index: int, sub: int, data: bytes, check_writable: bool = False) -> None:
-        """Sets a value by an SDO download.
-
-        Raises:
-            SdoAbortedError: the object or the value cannot be written, or not in the present state.
-        """
+        """Sets a value by an SDO download. Raises SdoAbortedError if this is not permitted, or not now."""
         self._refuse(index, sub)
         entry = self._find(index, sub)
         if check_writable and not entry.writable:

@@ -18,10 +18,6 @@ class SimulatedOutputs:
     The command is 6200h or the maker's object. The error state never changes the command. It begins when the board
     loses the master or is stopped, and ends when the board enters operational: then the pins follow the command.
     In the error state each byte follows what was written last: the command, or 6206h and 6207h.
-
-    Args:
-        objects: object dictionary of the board.
-        variant: variant of the board.
     """
 
     def __init__(self, objects: Objects, variant: Variant) -> None:
@@ -59,12 +55,10 @@ class SimulatedOutputs:
         return index in (self._index, _POLARITY, _ERROR_MODE, _ERROR_VALUE)
 
     def fail_safe(self) -> None:
-        """Begins the error state."""
         self._failing = True
         self._failed.update(self._subs)
 
     def recover(self) -> None:
-        """Ends the error state."""
         self._failing = False
         self._failed.clear()
 

@@ -13,7 +13,7 @@ from hyperbit.drivers.simulation.outputs import SimulatedOutputs
 
 _RPDOS, _TPDOS = range(0x1400, 0x1600), range(0x1800, 0x1A00)
 _TOO_SHORT, _TOO_LONG, _SYNC_LENGTH = 0x8210, 0x8220, 0x8240
-_SYNC_TOLERANCE = 1.5  # periods without a SYNC until it is an error, as in CANopenNode
+_SYNC_TOLERANCE = 1.5  # an error after this number of periods without SYNC, as in CANopenNode
 _LAST_SYNCHRONOUS = 240  # transmission type
 
 
@@ -31,19 +31,7 @@ class _Pdo:
 
 
 class Pdos:
-    """All PDOs of a board that is operational.
-
-    Args:
-        objects: object dictionary with their parameters and mappings.
-        outputs: takes the data of RPDOs.
-        emergencies: takes errors of frames with a wrong length.
-        send: takes COB-ID and data of a TPDO.
-        pads: whether TPDOs are filled up to 8 bytes.
-
-    Attributes:
-        sync_due: latest time of the next SYNC [s]; infinity if none is expected.
-        losing: number of the next TPDOs that do not reach the bus.
-    """
+    """All PDOs of an operational board; `pads`: whether TPDOs are filled up to 8 bytes."""
 
     def __init__(
         self,
@@ -53,8 +41,8 @@ class Pdos:
         send: Callable[[int, bytes], None],
         pads: bool,
     ) -> None:
-        self.sync_due = math.inf
-        self.losing = 0
+        self.sync_due = math.inf  # latest time of the next SYNC [s]; infinity if none is expected
+        self.losing = 0  # number of the next TPDOs that do not reach the bus
         self._window_ends = math.inf  # time after which synchronous RPDOs come too late [s]
         self._sent_at: dict[int, float] = {}  # last time of each TPDO since the start, by its index [s]
         self._objects, self._outputs, self._emergencies, self._send = objects, outputs, emergencies, send
@@ -65,7 +53,6 @@ class Pdos:
         self.configure()
 
     def configure(self) -> None:
-        """Reads parameters and mappings from the object dictionary."""
         self._rpdos = self._pdos(self._received)
         self._tpdos = self._pdos(self._sent)
         self._timed = [pdo for pdo in self._tpdos if pdo.period]
@@ -131,14 +118,13 @@ class Pdos:
                 self._transmit(pdo, now)
 
     def publish(self, changed: Mapping[int, int], now: float) -> None:
-        """Sends the TPDOs that carry changed bits of 6000h, which are given by sub-index."""
+        """Sends the TPDOs that carry changed bits of 6000h; `changed`: bits by sub-index."""
         if self._objects.number(0x6005):
             for pdo in self._tpdos:
                 if self._wakes(pdo, changed):
                     self._transmit(pdo, now)
 
     def repeat(self, now: float) -> None:
-        """Sends the TPDOs whose event timers have ended."""
         for pdo in self._timed:
             if now >= self._event_due(pdo):
                 self._transmit(pdo, now)

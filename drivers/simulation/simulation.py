@@ -24,7 +24,7 @@ _LONGEST_WAIT = 0.01  # [s] for a frame, so that a fault takes effect soon
 
 
 class Port:
-    """The boards' connection to one bus; it is opened again after a loss of the interface."""
+    """The boards' connection to one bus; reopened after a loss of the interface."""
 
     def __init__(self, wiring: BusWiring) -> None:
         self._wiring = wiring
@@ -32,7 +32,6 @@ class Port:
         self._bus: can.BusABC | None = self._open()
 
     def receive_frame(self, timeout: float) -> can.Message | None:
-        """Returns the next frame, or None if none comes within `timeout` [s]."""
         try:
             if self._failed:  # the kernel reports the loss of an interface only once, also to a send
                 self.close()
@@ -47,7 +46,7 @@ class Port:
             return None
 
     def send_frame(self, frame: Frame) -> None:
-        """Sends a frame if possible; a board is not told of a failure."""
+        """Sends a frame if possible. A board does not learn of a failure."""
         if (bus := self._bus) is not None:
             try:
                 bus.send(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False))
@@ -55,14 +54,13 @@ class Port:
                 self._failed |= getattr(error, "error_code", None) in _GONE
 
     def send_error(self, state: str) -> None:
-        """Sends the error frame with which SocketCAN reports a state of the controller, "bus-off" or "active"."""
+        """Sends SocketCAN's error frame for a state of the controller, "bus-off" or "active"."""
         if (bus := self._bus) is not None:
             number = BUS_OFF if state == "bus-off" else RESTARTED
             with contextlib.suppress(can.CanError, OSError):
                 bus.send(can.Message(arbitration_id=number, data=bytes(8), is_error_frame=True, is_extended_id=False))
 
     def close(self) -> None:
-        """Closes the bus."""
         if self._bus is not None:
             self._bus.shutdown()
 
@@ -72,13 +70,12 @@ class Port:
 
 
 class Simulation:
-    """All boards of a wiring. They share nothing with the driver but frames.
+    """All boards of a wiring. They share only frames with the driver.
 
     Args:
-        wiring: the wiring, whose buses are opened.
         timing: gives the travel time; simulated actuators take half of it.
         clock: returns the time [s].
-        variants: variants of boards by name; the other boards are standard boards.
+        variants: of boards by name; the other boards are standard boards.
 
     Raises:
         KeyError: there is no board of this name.
@@ -106,7 +103,6 @@ class Simulation:
         self._threads: list[threading.Thread] = []
 
     def start(self) -> None:
-        """Starts one thread for each bus."""
         with self._lock:
             self._boards.step(self._clock())
         for name, port in self._ports.items():
@@ -115,7 +111,6 @@ class Simulation:
             thread.start()
 
     def stop(self) -> None:
-        """Ends the threads and closes the buses."""
         self._ending.set()
         for thread in self._threads:
             thread.join()
@@ -139,11 +134,7 @@ class Simulation:
             fault_commands.perform(self._boards, *words)
 
     def play_fault(self, text: str) -> str:
-        """Causes or ends a fault, such as "silence can0/5"; returns the answer.
-
-        Raises:
-            ValueError: the text is no fault; the message names the choices.
-        """
+        """Plays a fault such as "silence can0/5"; returns the answer. Raises ValueError with the choices."""
         with self._lock:
             self._boards.step(self._clock())
             return fault_commands.play(self._boards, text)

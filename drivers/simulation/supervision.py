@@ -15,14 +15,9 @@ _GUARD_TIME, _LIFE_FACTOR, _CONSUMER, _PRODUCER = 0x100C, 0x100D, 0x1016, 0x1017
 class Supervision:
     """Sends the board's heartbeat, answers node guarding, and finds the loss of the master.
 
-    A producer time, 1017h, other than 0 ends node guarding: a node uses only one of them.
-
-    Args:
-        node: node id.
-        objects: object dictionary with 1016h and 1017h, or 100Ch and 100Dh, or all four.
-        send: takes COB-ID and data.
-        lose: called when the master is lost.
-        recover: called at each sign of life of the master.
+    A producer time, 1017h, other than 0 ends node guarding: a node uses only one of them. `objects` has 1016h and
+    1017h, or 100Ch and 100Dh, or all four. `lose` is called when the master is lost, `recover` at each sign of its
+    life.
     """
 
     def __init__(

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
+from hyperbit.drivers.canopen.wiring import NodeWiring
 from hyperbit.drivers.simulation import dictionary
 from hyperbit.drivers.simulation.dictionary import Changes, array, number, pdo
 
@@ -18,74 +19,43 @@ _NO_CHANGES: Changes = MappingProxyType({})
 
 
 class StandingError(NamedTuple):
-    """An error that a board has from power-on until its repair.
+    """An error that a board has from power-on until its repair."""
 
-    Attributes:
-        code: error code of its emergency.
-        register: bits of 1001h.
-    """
-
-    code: int
-    register: int
+    code: int  # of its emergency
+    register: int  # bits of 1001h
 
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """Differences from the standard board, which has all objects of board.eds, heartbeats, and 64 outputs in RPDO1.
+    """Differences from the standard board, which has all objects of board.eds, heartbeats, and 64 outputs in RPDO1."""
 
-    Attributes:
-        text: the peculiarity, for the command line.
-        absent: indices of objects that the board does not have.
-        changes: objects that it has in place of standard ones, or in addition.
-        read_only: indices of objects that SDO cannot write.
-        deaf: indices of objects that confirm a write and keep their value.
-        stored: values in its flash memory, in place of the default values.
-        output_object: index of the array of output bytes.
-        synchronous: whether RPDOs may wait for SYNC.
-        one_supervision: whether it allows only one of node guarding and heartbeats.
-        saves: whether each SDO write goes to the flash memory.
-        error_state: outputs in the error state: as 6206h and 6207h say, hold, or off.
-        shows_error_state: whether an SDO read of 6200h shows the outputs in the error state, not the last command.
-        off_outside_operational: whether the outputs are off in all NMT states but operational.
-        time_step: times of heartbeats and guarding are rounded down to multiples of it [ms].
-        keeps_loss: whether the loss of the master stands until a reset, without an emergency 0000h.
-        keeps_outputs: whether the outputs keep their levels at an NMT reset of communication.
-        no_object: abort code of an SDO to an object that it does not have.
-        logs_ends: whether the end of an error is an entry of 1003h too.
-        pads: whether TPDOs are filled up to 8 bytes.
-        errors: standing errors.
-        starts: whether it obeys the NMT command that makes it operational.
-        answer_delay: delay of its SDO answers [s].
-        boot_time: time from power-on, or an NMT reset of the node, to its boot-up message [s].
-    """
-
-    text: str
-    absent: frozenset[int] = frozenset()
-    changes: Changes = field(default_factory=lambda: _NO_CHANGES)
-    read_only: frozenset[int] = frozenset()
-    deaf: frozenset[int] = frozenset()
+    text: str  # the peculiarity, for the command line
+    absent: frozenset[int] = frozenset()  # indices of objects that the board lacks
+    changes: Changes = field(default_factory=lambda: _NO_CHANGES)  # objects in place of standard ones, or in addition
+    read_only: frozenset[int] = frozenset()  # indices of objects that SDO cannot write
+    deaf: frozenset[int] = frozenset()  # indices of objects that confirm a write and keep their value
+    # values in its flash memory, in place of the default values
     stored: Mapping[tuple[int, int], int] = field(default_factory=lambda: _NOTHING)
-    output_object: int = 0x6200
-    synchronous: bool = True
-    one_supervision: bool = False
-    saves: bool = False
-    error_state: Literal["modes", "hold", "off"] = "modes"
-    shows_error_state: bool = False
-    off_outside_operational: bool = False
-    time_step: int = 1
-    keeps_loss: bool = False
-    keeps_outputs: bool = True
-    no_object: int = 0x0602_0000
-    logs_ends: bool = False
-    pads: bool = False
+    output_object: int = 0x6200  # index of the array of output bytes
+    synchronous: bool = True  # RPDOs may wait for SYNC
+    one_supervision: bool = False  # allows only one of node guarding and heartbeats
+    saves: bool = False  # each SDO write goes to the flash memory
+    error_state: Literal["modes", "hold", "off"] = "modes"  # outputs then go as in 6206h and 6207h, hold, or off
+    shows_error_state: bool = False  # an SDO read of 6200h shows the outputs in the error state, not the last command
+    off_outside_operational: bool = False  # outputs are on in operational only
+    time_step: int = 1  # heartbeat and guarding times are rounded down to multiples of it [ms]
+    keeps_loss: bool = False  # the loss of the master stands until a reset, without an emergency 0000h
+    keeps_outputs: bool = True  # through an NMT reset of communication
+    no_object: int = 0x0602_0000  # abort code of an SDO to an absent object
+    logs_ends: bool = False  # the end of an error is an entry of 1003h too
+    pads: bool = False  # TPDOs are filled up to 8 bytes
     errors: tuple[StandingError, ...] = ()
-    starts: bool = True
-    answer_delay: float = 0.0
-    boot_time: float = 0.0
+    starts: bool = True  # obeys the NMT command that makes it operational
+    answer_delay: float = 0.0  # of SDO answers [s]
+    boot_time: float = 0.0  # from power-on, or an NMT reset of the node, to the boot-up message [s]
 
     @functools.cached_property
     def objects(self) -> dictionary.Objects:
-        """The object dictionary."""
         return dictionary.changed(self.absent, self.read_only, self.changes)
 
 
@@ -123,6 +93,22 @@ _SIXTEEN_BYTES = {
     **array(0x6206, [0xFF] * 16),
     **array(0x6207, [0] * 16),
 }
+
+
+def _maker_object(index: int, error_state: Literal["hold", "off"]) -> Variant:
+    """Returns a board whose outputs are in an object of its maker."""
+    return Variant(
+        f"outputs in {index:04X}h of the maker, no objects of CiA 401 but inputs",
+        absent=frozenset({0x6200, 0x6202, 0x6206, 0x6207}),
+        changes={
+            **_device_type(0),
+            **array(index, [0] * 8, mappable=True),
+            **pdo(0x1400, 0x200, _entries(index, 1, 8)),
+        },
+        output_object=index,
+        error_state=error_state,
+    )
+
 
 STANDARD = Variant("all objects of board.eds: heartbeats, 64 outputs in RPDO1, 64 inputs in TPDO1")
 
@@ -185,17 +171,7 @@ VARIANTS: Mapping[str, Variant] = {
     "no-device-type": Variant("1000h is 0, though 6200h is there", changes=_device_type(0)),
     "many-profiles": Variant("1000h is 0000FFFFh: several profiles, 6200h is there", changes=_device_type(0xFFFF)),
     "all-bits": Variant("1000h with all bits (Festo CPX, ifm)", changes=_device_type(0x000F_0191)),
-    "maker-object": Variant(
-        "outputs in 2201h of the maker, no objects of CiA 401 but inputs",
-        absent=frozenset({0x6200, 0x6202, 0x6206, 0x6207}),
-        changes={
-            **_device_type(0),
-            **array(0x2201, [0] * 8, mappable=True),
-            **pdo(0x1400, 0x200, _entries(0x2201, 1, 8)),
-        },
-        output_object=0x2201,
-        error_state="off",
-    ),
+    "maker-object": _maker_object(0x2201, "off"),
     "no-error-mode": Variant(
         "no 6206h and 6207h: outputs hold in the error state", absent=_ERROR_MODES, error_state="hold"
     ),
@@ -262,13 +238,26 @@ VARIANTS: Mapping[str, Variant] = {
 }
 
 
+def as_wired(variant: Variant, node: NodeWiring, error_state: str | None) -> Variant:
+    """Returns a board with the identity and the object of its outputs that its entry in the arm's file asks for.
+
+    Args:
+        variant: of the board.
+        node: the entry.
+        error_state: of boards whose entry has none.
+    """
+    if variant is STANDARD and node.object != variant.output_object:
+        variant = _maker_object(node.object, "hold" if (node.error_state or error_state) == "hold" else "off")
+    identity = enumerate((node.vendor, node.product, node.revision, node.serial), 1)
+    own = {(0x1018, sub): value for sub, value in identity if value is not None}
+    return replace(variant, stored={**variant.stored, **own}) if own else variant
+
+
 def choose(words: Iterable[str], boards: Iterable[str]) -> dict[str, Variant]:
     """Returns the variants that words name: "NAME" for all boards, or "can0/5=NAME" for one.
 
-    A word for one board overrides a word for all boards; a later word overrides an earlier one.
-
-    Raises:
-        ValueError: there is no such board or variant.
+    A word for one board overrides a word for all boards; a later word overrides an earlier one. Raises ValueError for
+    an unknown board or variant.
     """
     named = [word.rpartition("=")[::2] for word in words]
     names = list(boards)

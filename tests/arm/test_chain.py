@@ -71,20 +71,17 @@ def test_a_chain_of_all_types(read):
         ({**REVOLUTE, "axis": [0, 0, 0]}, ".axis: a direction is needed, got [0.0, 0.0, 0.0]"),
         ({**REVOLUTE, "axis": [0, 1]}, ".axis: Expected `array` of length >= 3 (given: [0, 1])"),
         ({**REVOLUTE, "angles": [0.2]}, ".angles: Expected `array` of length >= 2 (given: [0.2])"),
-        ({**REVOLUTE, "angles": [-15, 0]}, ".angles[1]: Expected `float` >= -6.2832 (given: -15)"),
+        ({**REVOLUTE, "angles": [-15, 0]}, ".angles[1]: Expected `float` >= -12.5664 (given: -15)"),
         ({**REVOLUTE, "angles": [0.1, 0.2, 0.1]}, ".angles: 0.1 occurs twice"),
         ({**REVOLUTE, "angles": [0.1, math.nan]}, ".angles[2]: nan is not a finite number"),
         (
             {**REVOLUTE, "link": {"position": [0, 0, 1], "orientation": 0.5}},
             ".link.orientation: a spatial frame needs a quaternion x, y, z, w, got the angle 0.5",
         ),
-        ({**REVOLUTE, "code": "binary"}, ".code: unknown field; known are angles, axis, count, link, type"),
+        ({**REVOLUTE, "code": "binary"}, ".code: unknown field; known are angles, axis, count, cylinders, link, type"),
         ({**PRISMATIC, "axis": [0, 0]}, ".axis: a direction is needed, got [0.0, 0.0]"),
         ({**PRISMATIC, "lengths": [0.1]}, ".lengths: Expected `array` of length >= 2 (given: [0.1])"),
-        (
-            {**PRISMATIC, "lengths": [0.1, 0.3, 0.2]},
-            ".lengths: 0.2 after 0.3, but each must be greater than the last",
-        ),
+        ({**PRISMATIC, "lengths": [0.1, 0.3, 0.2]}, ".lengths: 0.2 after 0.3, but each must be greater than the last"),
         ({"type": "prismatic", "lengths": [0.1, 0.2]}, ".axis: required, but missing"),
         ({**PLATFORM, "lengths": [0.22, 0.18]}, ".lengths: 0.22 contracted, so not 0.18 extended"),
         ({**PLATFORM, "top": TOP[:2]}, ".top: Expected `array` of length >= 3"),
@@ -136,3 +133,28 @@ def test_a_table_lies_beside_the_arms_file(tmp_path: Path):
     arm = load(tmp_path / "arm.yaml").manipulator
     assert (arm.planar, arm.states.tolist(), arm.actuators) == (True, [3, 3], ("1.1", "1.2", "2.1", "2.2"))
     assert_allclose(arm.frames[0, 1], frames.planar(0.01, 0.1, 0.2), atol=0)
+
+
+def test_cylinders_in_series_are_read_from_the_file_and_named(read):
+    entry = {
+        "type": "prismatic",
+        "axis": [0, 1],
+        "cylinders": [[0.2, 0.25], [0.2, 0.3]],
+        "link": {"position": [0, 0.1]},
+    }
+    arm = read({"name": "a", "modules": [entry], "tolerance": {"position": 0.01}})
+    assert arm.manipulator.actuators == ("1.1", "1.2")
+    assert_allclose(arm.manipulator.tips([[k] for k in range(4)])[:, 1, 3], [0.5, 0.6, 0.55, 0.65])
+
+
+@pytest.mark.parametrize(
+    ("fields", "fault"),
+    [
+        ({"angles": [0, 1], "cylinders": [[0, 1]]}, "either angles or cylinders are needed, got both"),
+        ({}, "either angles or cylinders are needed, got neither"),
+        ({"cylinders": [[0.5, 0.5]]}, "the cylinder does nothing"),
+    ],
+)
+def test_a_joint_has_angles_or_cylinders(read, fields, fault):
+    with pytest.raises(InputFaults, match=fault):
+        read({"name": "a", "modules": [{"type": "revolute", **fields}], "tolerance": {"position": 0.01}})

@@ -20,14 +20,12 @@ def folder(tmp_path_factory):
 
 
 def read(folder, text: str | bytes):
-    """The table in a file of this text, and the faults."""
     faults: list[str] = []
     (folder / "m.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
     return read_table(folder, "m.csv", "here", faults), faults
 
 
 def written(stack, columns) -> str:
-    """The CSV of frames."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns)
     writer.writeheader()
@@ -70,27 +68,29 @@ def test_measured_quaternions_are_made_unit(folder):
     [
         ("", ["columns x,y,th or x,y,z,qx,qy,qz,qw are needed, got none"]),
         ("x,y\n0,1\n", ["columns x,y,th or x,y,z,qx,qy,qz,qw are needed, got x,y"]),
-        ("x,y,th,th\n0,1,0,0\n", ["columns x,y,th or x,y,z,qx,qy,qz,qw are needed, got x,y,th,th"]),
-        ("0,0.1,0\n0,0.2,0\n", ["columns x,y,th or x,y,z,qx,qy,qz,qw are needed, got 0,0.1,0"]),
+        ("x,y,th,th\n0,1,0,0\n", ["column 'th' occurs twice"]),
+        ("x,y,th\n0,1,0\n0,1,0,0\n", ["line 3: 3 fields are needed, got 4"]),
+        ("0,0.1,2\n0,0.2,0\n", ["columns x,y,th or x,y,z,qx,qy,qz,qw are needed, got 0,0.1,2"]),
         ("x,y,th\n", ["2 to 4096 rows are needed, a state each, got 0"]),
         ("x,y,th\n0,1,0\n", ["2 to 4096 rows are needed, a state each, got 1"]),
         ("x,y,th\n" + "0,1,0\n" * 5000, ["2 to 4096 rows are needed, a state each, got 4097"]),
         (
-            "x,y,th\n0,1\n0,1,0,0\n0,a,0\n0,1,0\n,1,0\n",
+            'x,y,th\n0,1\n"0,3",1,0\n0,a,0\n0,1,0\n,1_0,0\n0,1_0,0\n',
             [
-                "line 2: 3 numbers are needed, got 2",
-                "line 3: 3 numbers are needed, got 4",
-                "line 4: y: a number from -1e+06 to 1e+06 is needed, got 'a'",
-                "line 6: x: a number from -1e+06 to 1e+06 is needed, got ''",
+                "line 2: th: a number is needed, got ''",
+                "line 3: x: a number is needed, got '0,3'; write a decimal point: 0.3",
+                "line 4: y: a number is needed, got 'a'",
+                "line 6: x: a number is needed, got ''",
+                "line 7: y: a number is needed, got '1_0'",
             ],
         ),
         (
             "x,y,th\n0,nan,0\n0,1,inf\n1e7,1,0\n0,1,15\n",
             [
-                "line 2: y: a number from -1e+06 to 1e+06 is needed, got 'nan'",
-                "line 3: th: a number from -6.2832 to 6.2832 is needed, got 'inf'",
+                "line 2: y: a number is needed, got 'nan'",
+                "line 3: th: a number is needed, got 'inf'",
                 "line 4: x: a number from -1e+06 to 1e+06 is needed, got '1e7'",
-                "line 5: th: a number from -6.2832 to 6.2832 is needed, got '15'",
+                "line 5: th: a number from -12.5664 to 12.5664 is needed, got '15'; in radians, 15 degrees are 0.2618",
             ],
         ),
         (

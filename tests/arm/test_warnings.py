@@ -19,7 +19,6 @@ HINGE = {"type": "revolute", "angles": [0, 0.3]}  # without a link: it has no si
 
 
 def without_path(warnings: list[str]) -> list[str]:
-    """Returns the warnings without the file and the line."""
     return [warning.split(": ", 1)[1] for warning in warnings]
 
 
@@ -81,3 +80,41 @@ def test_an_unusual_bit_rate_is_named(read, rate):
     warnings = file_warnings(read(changed("buses.1.bitrate", rate)))
     assert bool(warnings) == (rate not in BIT_RATES)
     assert all(", line " in warning and "buses[2].bitrate: " in warning for warning in warnings)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "warning"),
+    [
+        ("tolerance.position", 15, "tolerance.position: 15, but the whole arm is 0.5 long; check the unit"),
+        ("body_radius", 0.3, "body_radius: 0.3, but the whole arm is 0.5 long; check the unit"),
+        ("workspace", {"pixel": 2}, "workspace.pixel: 2, but the whole arm is 0.5 long; check the unit"),
+        ("tracker", {"noise": 2, "clamp": 0.1}, "tracker.noise: 2, but the whole arm is 0.5 long"),
+        ("obstacles", [{"disc": {"centre": [500, 2800], "radius": 300}}], "obstacles[1].disc: 300 large and 2844 from"),
+        ("obstacles", [{"box": {"centre": [0.5, 900], "size": [1, 1], "angle": 5}}], "obstacles[1].box: 1 large"),
+        ("base", {"position": [0, 0], "orientation": 5}, "base.orientation: 5 rad are more than three quarters of a"),
+        (
+            "tolerance.orientation",
+            5,
+            "tolerance.orientation: 5 rad are more than three quarters of a turn; in radians, 5",
+        ),
+    ],
+)
+def test_millimetres_and_degrees_are_told(read, field, value, warning):
+    found = without_path(file_warnings(read(changed(field, value))))
+    assert found[0].startswith(warning)
+
+
+def test_degrees_of_joints_and_links_are_told(read):
+    joint = {"type": "revolute", "angles": [-10, 10], "link": {"position": [0, 0.1], "orientation": 6}}
+    fixed = {"type": "transforms", "states": [{"position": [0, 0.1]}, {"position": [0, 0.1], "orientation": 5}]}
+    found = without_path(file_warnings(read({**PLANNED, "modules": [joint, fixed]})))
+    paths = ["modules[1].angles[1]", "modules[1].angles[2]", "modules[1].link.orientation"]
+    assert [warning.split(": ")[0] for warning in found] == [*paths, "modules[2].states[2].orientation"]
+
+
+def test_millimetres_and_degrees_of_a_tip_and_of_cylinders_are_told(read):
+    joint = {"type": "revolute", "cylinders": [[-0.2, 5]], "link": {"position": [0, 0.1]}}
+    tip = {"position": [0, 30], "orientation": 6}
+    found = without_path(file_warnings(read({**PLANNED, "modules": [joint, joint], "tip": tip})))
+    told = {warning.split(": ")[0] for warning in found}
+    assert {"tip.position", "tip.orientation", "modules[1].cylinders[1][2]"} <= told

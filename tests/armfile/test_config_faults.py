@@ -86,18 +86,14 @@ FAULTS = [
     ("obstacles.0.disk", 1, "obstacles[1].disk: unknown field; did you mean 'disc'? Known are box, disc, half_plane"),
     ("obstacles.0.disc.radius", -1, "obstacles[1].disc.radius: Expected `float` > 0.0 (given: -1)"),
     ("obstacles.0.disc.radius", math.inf, "obstacles[1].disc.radius: inf is not a finite number"),
-    (
-        "obstacles.0.disc.center",
-        [0, 0],
-        "obstacles[1].disc.center: unknown field; did you mean 'centre'?",
-    ),
+    ("obstacles.0.disc.center", [0, 0], "obstacles[1].disc.center: unknown field; did you mean 'centre'?"),
     ("obstacles.0.disc.centre", [0, 0, 0], "obstacles[1].disc.centre: 3 coordinates, a planar arm's have 2"),
     ("obstacles.0.disc.centre", [1e9, 0], "obstacles[1].disc.centre[1]: Expected `float` <= 1000000.0"),
     ("obstacles.0.name", "a b", "obstacles[1].name: Expected `str` of 1 to 64 letters, digits, _ and -"),
     ("obstacles.2.name", "pillar", "obstacles[3].name: 'pillar' is the name of another obstacle already"),
     ("obstacles.1.box.size", [0.4, 0], "obstacles[2].box.size[2]: Expected `float` > 0.0 (given: 0)"),
     ("obstacles.1.box.size", [0.4, 1, 1], "obstacles[2].box.size: 3 coordinates, a planar arm's have 2"),
-    ("obstacles.1.box.angle", 90, "obstacles[2].box.angle: Expected `float` <= 6.2832 (given: 90)"),
+    ("obstacles.1.box.angle", 90, "obstacles[2].box.angle: Expected `float` <= 12.5664 (given: 90)"),
     ("obstacles.1.box.orientation", [0, 0, 0, 1], "obstacles[2].box.orientation: a box of the plane is turned by an"),
     ("obstacles.2.half_plane.normal", [0, 0], "obstacles[3].half_plane.normal: a direction is needed, got [0"),
     ("obstacles.1", {}, "obstacles[2]: one of disc, box, half_plane is needed for a planar arm, got none of them"),
@@ -200,7 +196,7 @@ def test_a_file_that_is_missing_or_says_nothing(tmp_path):
     with pytest.raises(InputFaults, match="no such file"):
         load(tmp_path / "arm.yaml")
     (tmp_path / "arm.yaml").touch()
-    with pytest.raises(InputFaults, match="file: Expected `object`, got `null`"):
+    with pytest.raises(InputFaults, match="is empty, as a failure of the power can leave it"):
         load(tmp_path / "arm.yaml")
 
 
@@ -222,7 +218,6 @@ values = st.recursive(
 
 
 def places(value, path=()):
-    """Every path into a document."""
     inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, part in inner:
         yield (*path, key)

@@ -18,21 +18,18 @@ BISTABLE = {"output_off": 8, "pulse": 0.05}
 
 
 def with_actuator(**fields: Any) -> dict[str, Any]:
-    """The valid document with more said of its first actuator."""
     value = document()
     value["actuators"][0].update(fields)
     return value
 
 
 def with_boards(actuator: dict[str, Any] | None = None, **fields: Any) -> dict[str, Any]:
-    """The valid document with more said of its boards, and of its first actuator."""
     value = with_actuator(**(actuator or {}))
     value["boards"].update(fields)
     return value
 
 
 def with_node(actuator: dict[str, Any] | None = None, **fields: Any) -> dict[str, Any]:
-    """The valid document with something said of the board of its first actuator."""
     return with_boards(actuator, nodes=[{"bus": "can0", "node": 1, **fields}])
 
 
@@ -70,10 +67,7 @@ FAULTS = [
         with_actuator(input={"bit": 0, "board": "can7/9"}),
         "actuators[1].input.board: 'can7/9', but 'can7' is none of the buses can0, spare",
     ),
-    (
-        with_actuator(input={"bit": 1, "board": "can0/2"}),
-        "actuators[5].input: input 1 of can0/2 is 1.left's already",
-    ),
+    (with_actuator(input={"bit": 1, "board": "can0/2"}), "actuators[5].input: input 1 of can0/2 is 1.left's already"),
     (
         with_actuator(input_contracted={"bit": 0, "board": "can0/1"}),
         "actuators[1].input_contracted: input 0 of can0/1 is 1.left's already",
@@ -152,8 +146,7 @@ def test_each_fault_names_field_value_and_need(tmp_path: Path, value: dict[str, 
 
 def test_end_stops_may_be_on_boards_without_outputs_and_on_other_buses(tmp_path: Path) -> None:
     value = with_actuator(
-        input={"board": "can0/9", "bit": 3, "inverted": True},
-        input_contracted={"board": "spare/1", "bit": 40},
+        input={"board": "can0/9", "bit": 3, "inverted": True}, input_contracted={"board": "spare/1", "bit": 40}
     )
     value["actuators"][1]["input"] = {"bit": 1, "board": "can0/1"}  # that of its output
     value["boards"]["nodes"] = [{"bus": "can0", "node": 9, "serial": 7}]

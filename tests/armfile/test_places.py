@@ -143,7 +143,6 @@ def test_any_mixture_of_lines_is_read_or_refused(tmp_path_factory, lines, cut, d
 
 
 def loaded(path: Path) -> tuple[tuple[str, ...], tuple[int | None, ...]]:
-    """Returns the faults of a file and their lines."""
     try:
         load(path)
     except InputFaults as error:

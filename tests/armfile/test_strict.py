@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import Meta, Struct
 
-from hyperbit.controller.armfile.strict import MOST_FAULTS, InputFaults, check, read_yaml
+from hyperbit.controller.armfile.documents import read_yaml
+from hyperbit.controller.armfile.strict import MOST_FAULTS, InputFaults, check
 
 
 def read(tmp_path: Path, content: str | bytes):
@@ -18,7 +19,6 @@ def read(tmp_path: Path, content: str | bytes):
 
 
 def refusal(tmp_path: Path, content: str | bytes) -> str:
-    """Returns the one fault that reading `content` must raise."""
     with pytest.raises(InputFaults) as caught:
         read(tmp_path, content)
     (fault,) = caught.value.faults
@@ -26,7 +26,11 @@ def refusal(tmp_path: Path, content: str | bytes) -> str:
 
 
 def test_plain_yaml_is_read(tmp_path):
-    assert read(tmp_path, "a: [1, 2.5, x, true]\nb: {c: null}") == {"a": [1, 2.5, "x", True], "b": {"c": None}}
+    assert read(tmp_path, "a: [1, 2.5, x, true, 0]\nb: {c: null, d: 0x1D, e: 0.5}") == {
+        "a": [1, 2.5, "x", True, 0],
+        "b": {"c": None, "d": 29, "e": 0.5},
+    }
+    assert read(tmp_path, b"\xef\xbb\xbfa: 1") == {"a": 1}, "a byte order mark is no text"
 
 
 def test_a_missing_file(tmp_path):
@@ -41,6 +45,16 @@ def test_a_folder(tmp_path):
 
 def test_text_that_is_not_utf8(tmp_path):
     assert refusal(tmp_path, b"name: \xff\xfe").startswith("cannot be read: 'utf-8' codec can't decode")
+
+
+@pytest.mark.parametrize("content", [b"", b"\n \n", bytes(4096)])
+def test_an_empty_file_is_told(tmp_path, content):
+    assert refusal(tmp_path, content).startswith("is empty, as a failure of the power can leave it")
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "latin-1"])
+def test_another_encoding_is_told_with_the_right_one(tmp_path, encoding):
+    assert refusal(tmp_path, "name: \xe4".encode(encoding)).endswith("save it as UTF-8")
 
 
 BOMB = "a: &a [x, x]\nb: &b [*a, *a, *a, *a]\nc: &c [*b, *b, *b, *b]\nd: [*c, *c, *c, *c]\n"
@@ -63,6 +77,12 @@ BOMB = "a: &a [x, x]\nb: &b [*a, *a, *a, *a]\nc: &c [*b, *b, *b, *b]\nd: [*c, *c
         ("a: !!timestamp x", "is not YAML: a value does not suit its !!tag"),
         ("a: 2020-13-45", "is not YAML: month must be in 1..12"),
         ("a: " + "9" * 5000, "is not YAML: Exceeds the limit"),
+        ("a: 010", "is not YAML: 010 is 8 in YAML: write the number without 0 before it, : and _"),
+        ("a: -1:30", "is not YAML: -1:30 is -90 in YAML: write the number"),
+        ("a: 1_2", "is not YAML: 1_2 is 12 in YAML: write the number"),
+        ("a: 1:30.5", "is not YAML: 1:30.5 is 90.5 in YAML: write the number"),
+        ("a: 1_0.5", "is not YAML: 1_0.5 is 10.5 in YAML: write the number"),
+        ("a: 0x_1", "is not YAML: 0x_1 is 1 in YAML: write the number"),
         ("[" * 1500, "is not YAML: maximum recursion depth exceeded"),
         ("\n".join(" " * k + "a:" for k in range(1500)), "is not YAML: maximum recursion depth exceeded"),
         (BOMB, "is not YAML: alias *a: write its value out instead in"),
@@ -158,10 +178,7 @@ def test_a_right_value_becomes_the_struct():
             {"inner": {"size": 1}, "note": ["x" * 100]},
             f"note: Expected `str | null`, got `array` (given: ['{'x' * 55}...)",
         ),
-        (
-            {"inner": {"size": "\ud800"}},
-            "inner.size: a lone surrogate is no text (given: '\\ud800')",
-        ),
+        ({"inner": {"size": "\ud800"}}, "inner.size: a lone surrogate is no text (given: '\\ud800')"),
         (
             {"inner": {"size": 1}, "note": 1 << 20_000},
             "note: Expected `str | null`, got `int` (given: a number of thousands of digits); write it in quotes",

@@ -30,7 +30,6 @@ class CommandLine(argparse.ArgumentParser):
 
     Args:
         goals: default of the option `--goals`; None: no such option.
-        busy: whether there is the option `--busy`.
     """
 
     def __init__(self, description: str | None, goals: int | None = None, busy: bool = False) -> None:
@@ -92,7 +91,6 @@ def median_and_99(times: Times) -> str:
 
 
 def show(title: str, headers: Sequence[str], rows: Iterable[Sequence[object]], width: int = 130) -> None:
-    """Prints a table, the first column to the left and the others to the right."""
     table = Table(title=escape(title))
     for k, header in enumerate(headers):
         table.add_column(escape(header), justify="right" if k else "left")
@@ -102,18 +100,15 @@ def show(title: str, headers: Sequence[str], rows: Iterable[Sequence[object]], w
 
 
 def write_figures(path: Path | None, figures: Any) -> None:
-    """Writes figures as JSON, if there is a path: numbers, texts, arrays and data classes."""
     if path is not None:
         path.write_text(json.dumps(figures, indent=1, default=_plain) + "\n")
 
 
 def report(figures: dict[str, Any], bars: dict[str, bool], path: Path | None) -> None:
-    """Prints figures and whether each bar is met, and writes both."""
     whole = figures | {"bars": bars, "met": all(bars.values())}
     print(json.dumps(whole, indent=1, default=_plain))
     write_figures(path, whole)
 
 
 def _plain(value: Any) -> Any:
-    """Returns a value as JSON has it."""
     return asdict(value) if is_dataclass(value) and not isinstance(value, type) else np.asarray(value).tolist()

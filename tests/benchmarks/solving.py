@@ -17,7 +17,6 @@ Solve = Callable[[NDArray[np.float64], Configuration], Solution]
 
 
 def ready_solver(arm: Arm) -> Solver:
-    """Returns the solver of an arm, with all tables."""
     manipulator = arm.manipulator
     solver = Solver(manipulator, map_densities(manipulator, arm.pixel, arm.level_pixels), arm.weights())
     solver.prepare()
@@ -41,7 +40,6 @@ def solved_in_sequence(
 
     Args:
         goals: the first `WARM` are also solved before, without being counted.
-        start: the first previous configuration.
 
     Returns:
         The previous configuration and the solution of each goal.

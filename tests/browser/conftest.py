@@ -4,7 +4,6 @@ import importlib.util
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -18,6 +17,7 @@ from PIL import Image
 
 from hyperbit.controller.panel.access.people import digest_of
 from tests import waiting
+from tests.endpoints import free_endpoint
 from tests.panel.conftest import PlayedDaemon
 from tests.system.stack import arms
 
@@ -45,7 +45,6 @@ OPTIONS = (
 
 
 def eventually(what: Callable[[], T], told: Callable[[], str] = lambda: "") -> T:
-    """Returns the first true value of `what`."""
     return waiting.eventually(what, PATIENCE, told, EVERY)
 
 
@@ -53,14 +52,7 @@ class World:
     """The arms `flat`, in the plane, and `mixed`, in space, and the panel that shows both.
 
     Args:
-        folder: of all files.
-        closing: ends the processes.
         slow: fields of the file of a third arm, `slow`, in the plane; none: there is no such arm.
-
-    Attributes:
-        planners: process of each arm.
-        endpoints: Zenoh endpoint of each arm.
-        url: of the panel.
     """
 
     def __init__(self, folder: Path, closing: ExitStack, slow: dict[str, Any] | None = None) -> None:
@@ -87,17 +79,14 @@ class World:
         self.url = self.panel("panel", *self.endpoints.values())
 
     def folder(self, name: str) -> Path:
-        """Makes a folder."""
         folder = self._folder / name
         folder.mkdir()
         return folder
 
     def start(self, words: list[str], folder: Path) -> subprocess.Popen[str]:
-        """Runs a command of hyperbit until the tests end; its log is in the folder."""
         return started(words, folder, self._closing)
 
     def panel(self, name: str, *endpoints: str, prefix: str = "hyperbit") -> str:
-        """Runs a panel of these people; returns its address."""
         folder = self.folder(name)
         words = ["panel", "--listen", "127.0.0.1:0", "--people", str(self._folder / "people.yaml"), "--prefix", prefix]
         self.start([*words, *(word for endpoint in endpoints for word in ("--connect", endpoint))], folder)
@@ -110,8 +99,6 @@ class Trouble:
     """A fake daemon and a panel in its own process.
 
     Args:
-        folder: of all files.
-        closing: ends daemon and panel.
         patient: whether the panel refuses no command for its age.
     """
 
@@ -136,14 +123,7 @@ def trouble(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trouble]:
         yield Trouble(tmp_path_factory.mktemp("trouble"), closing)
 
 
-def free_endpoint() -> str:
-    """A Zenoh endpoint that nobody listens at."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
-
-
 def started(words: list[str], folder: Path, closing: ExitStack, *, patient: bool = True) -> subprocess.Popen[str]:
-    """Runs a command of hyperbit until the tests end; its log is in the folder."""
     environment = {**os.environ, "RUNTIME_DIRECTORY": str(folder), "STATE_DIRECTORY": str(folder)}
     log = closing.enter_context((folder / "log").open("w"))
     program = ["-c", PATIENT_PANEL] if words[0] == "panel" and patient else ["-m", "hyperbit"]
@@ -202,13 +182,10 @@ def acted(act: Callable[[], None]) -> bool:
 
 
 class Shown:
-    """The page that the browser shows."""
-
     def __init__(self, driver: Any, url: str) -> None:
         self.driver, self.url = driver, url
 
     def visit(self, path: str, token: str, width: int = 1280, height: int = 860, *, dark: bool = False) -> None:
-        """Opens a page as somebody with a token."""
         self.driver.get("about:blank")
         phone = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
@@ -222,7 +199,6 @@ class Shown:
         return eventually(lambda: self.all(css), lambda: css)[0]
 
     def all(self, css: str) -> list[Any]:
-        """All elements of a CSS selector."""
         found: list[Any] = self.driver.find_elements("css selector", css)
         return found
 
@@ -231,7 +207,6 @@ class Shown:
         return str(self.run("return document.querySelector(arguments[0])?.textContent ?? ''", css))
 
     def run(self, script: str, *arguments: object) -> Any:
-        """Runs a script in the page."""
         return self.driver.execute_script(script, *arguments)
 
     def says(self, css: str, *words: str) -> str:
@@ -241,8 +216,6 @@ class Shown:
         return self.text(css)
 
     def press(self, css: str) -> None:
-        """Clicks on an element."""
-
         def press() -> None:
             eventually(lambda: self.one(css).is_enabled(), lambda: css)
             self.run("arguments[0].scrollIntoView({block: 'center'})", self.one(css))
@@ -274,7 +247,6 @@ class Shown:
         eventually(lambda: acted(put) and self.run(value, css) == text, lambda: css)
 
     def hold(self, css: str, seconds: float = 1.5) -> None:
-        """Presses an element with the mouse and holds it."""
         from selenium.webdriver import ActionChains
 
         self.run("arguments[0].scrollIntoView({block: 'center'})", self.one(css))

@@ -22,9 +22,10 @@ from PIL import Image
 
 from hyperbit.controller.network import session
 from hyperbit.controller.network.client import Client
-from tests.browser.conftest import OPERATOR, Shown, World, driver, eventually, free_endpoint
+from tests.browser.conftest import OPERATOR, Shown, World, driver, eventually
 from tests.browser.test_page import type_goal
 from tests.browser.test_replay import opened
+from tests.endpoints import free_endpoint
 from tests.panel.conftest import PlayedDaemon
 from tests.recorder.samples import read_unfinished
 
@@ -36,8 +37,6 @@ MODES = ("ready", "ready", "executing", "ready", "stopped", "fault", "ready")  #
 
 
 class Screens:
-    """The world, a browser, and the folder of the pictures."""
-
     def __init__(self, world: World, browser: Any, folder: Path) -> None:
         self.world, self.browser, self.folder = world, browser, folder
 
@@ -68,7 +67,6 @@ class Screens:
 
 @contextmanager
 def client_of(world: World, arm: str) -> Iterator[Client]:
-    """A client of an arm that is ready."""
     with eventually(lambda: opened(world.endpoints[arm])) as live, closing(Client(live, arm)) as client:
         eventually(client.alive)
         ready(client)
@@ -88,7 +86,6 @@ def ready(client: Client) -> None:
 
 
 def look(shown: Shown) -> None:
-    """Waits until the page shows an arm and its boards."""
     shown.one(".stage canvas")
     shown.says("#reason", " ")
     eventually(lambda: shown.all("#boards .health"))
@@ -232,7 +229,6 @@ def arms(screens: Screens) -> None:
 
 
 def tell_state(daemon: PlayedDaemon, mode: str) -> None:
-    """Publishes a state in a mode."""
     faults = [{"code": "board-lost", "source": "can0/5", "message": "board can0/5 is silent"}]
     told: dict[str, dict[str, Any]] = {
         "executing": {"reason": "to the goal pick-7", "goal": "pick-7"},

@@ -13,7 +13,6 @@ LEAST_TOUCHED = 32.0  # pixels
 
 
 def opened(trouble: Trouble, driver: object, width: int, height: int, token: str = OPERATOR) -> Shown:
-    """Opens the arm's page on a screen of a size."""
     shown = Shown(driver, trouble.url)
     shown.visit("/arms/planar16", token, width, height)
     shown.one(".stage canvas")

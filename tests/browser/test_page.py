@@ -29,7 +29,6 @@ MEASURED, PLANNED, OBSTACLE = [0, 114, 178], [0, 120, 90], [138, 75, 114]  # lig
 
 
 def type_goal(shown: Shown, *numbers: float) -> None:
-    """Types a position into the fields of the goal."""
     for k, number in enumerate(numbers, 1):
         shown.type(f"#goal .fields label:nth-child({k}) input", f"{number:g}")
 
@@ -60,7 +59,7 @@ def test_a_goal_is_planned_by_a_click_and_reached_by_go(page: Page) -> None:
     shown.says("#goal .plan", "switches", "stage")
     type_goal(shown, 0.55, 2.9)
     shown.says("#goal .plan", "switches", "stage")
-    eventually(lambda: shown.run(DRAWN, PLANNED) > 100)
+    eventually(lambda: shown.run(DRAWN, PLANNED) > 100 and shown.one("#go").is_enabled())
     shown.picture("panel.png")
     shown.press("#go")
     eventually(lambda: shown.text("#goals li") != before)

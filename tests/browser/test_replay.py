@@ -11,7 +11,8 @@ from selenium.webdriver.common.keys import Keys
 
 from hyperbit.controller.network import session
 from hyperbit.controller.network.client import Client, Unanswered
-from tests.browser.conftest import OPERATOR, Shown, World, eventually, free_endpoint
+from tests.browser.conftest import OPERATOR, Shown, World, eventually
+from tests.endpoints import free_endpoint
 from tests.recorder.samples import read_unfinished
 
 pytestmark = pytest.mark.timeout(600)
@@ -23,8 +24,6 @@ TIMES = re.compile(r"replay of (\S+), (\S+) of (\S+) to (\S+)")
 
 
 class Replayed(NamedTuple):
-    """A recording that is replayed, and the address of the panel that shows it."""
-
     file: Path
     url: str
 

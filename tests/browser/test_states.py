@@ -39,7 +39,6 @@ def heard(trouble: Trouble) -> Iterator[None]:
 
 
 def opened(trouble: Trouble, driver: object, **fields: Any) -> Shown:
-    """Opens the arm's page as an operator, and waits until it shows a state."""
     shown = Shown(driver, trouble.url)
     shown.visit("/arms/planar16", OPERATOR)
     shown.one(".stage canvas")
@@ -84,7 +83,6 @@ def test_in_a_fault_the_last_known_pose_is_drawn_and_the_unknown_is_marked(troub
 
 
 def planned(trouble: Trouble, driver: object) -> Shown:
-    """Opens the page with a goal and its plan."""
     trouble.daemon.gate.set()
     shown = opened(trouble, driver, reason="planned")
     type_goal(shown, 0.4, 2.9)
@@ -94,7 +92,6 @@ def planned(trouble: Trouble, driver: object) -> Shown:
 
 
 def enabled(shown: Shown) -> bool:
-    """Whether Go is enabled."""
     return bool(shown.one("#go").is_enabled())
 
 
@@ -147,6 +144,7 @@ def test_a_goal_that_cannot_be_planned_does_not_go(trouble: Trouble, driver: obj
 
 def test_a_goal_of_this_page_may_be_replaced(trouble: Trouble, driver: object) -> None:
     shown = planned(trouble, driver)
+    trouble.daemon.asked.clear()
     shown.press("#go")
     goals = eventually(lambda: [payload for key, payload in trouble.daemon.asked if key == "goal"])
     told(trouble, shown, mode="executing", goal=goals[-1]["id"], reason="to my goal")
@@ -176,3 +174,16 @@ def test_locks_of_one_kind_stand_together_with_one_advice(trouble: Trouble, driv
     shown.says("#faults", "1.left, 7.right", "1.left is locked", "7.right is locked")
     assert len(shown.all("#faults .advice")) == 1
     assert shown.run("return document.querySelector('header').offsetHeight") < 100, "the reason takes two lines"
+
+
+def test_progress_and_remaining_time_of_a_goal_are_shown(trouble: Trouble, driver: object) -> None:
+    shown = opened(trouble, driver, reason="before a goal")
+    assert not shown.one(".progress").is_displayed()
+    progress = {"waypoints": 5, "reached": 2, "begins": 90.0, "ends": 130.0}
+    told(trouble, shown, mode="executing", goal="g", reason="on the way", stamp=100.0, progress=progress)
+    shown.says(".progress", "2 of 5 points, ", "s left")
+    eventually(lambda: 0.2 < shown.run("return document.querySelector('.progress progress').value") < 1.0)
+    told(trouble, shown, mode="executing", goal="g", reason="late", stamp=140.0, progress=progress)
+    shown.says(".progress", "s late")
+    told(trouble, shown, reason="of an older daemon")
+    assert not shown.one(".progress").is_displayed()

@@ -4,6 +4,7 @@ import pytest
 from selenium.webdriver.common.keys import Keys
 
 from tests.browser.conftest import OPERATOR, VIEWER, Shown, Trouble, eventually
+from tests.browser.test_keys import found
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -106,6 +107,14 @@ def test_go_is_disabled_while_the_arm_is_silent(trouble: Trouble, driver: object
     shown.says("#goal .why", "Nothing is heard from the arm")
     assert not shown.one("#go").is_enabled()
     eventually(enabled, lambda: shown.text("#goal"))
+
+
+def test_axe_finds_nothing_while_the_arm_is_silent(trouble: Trouble, driver: object) -> None:
+    shown = Shown(driver, trouble.url)
+    shown.visit("/arms/planar16", OPERATOR)
+    trouble.daemon.state(reason="the last state")
+    eventually(lambda: "old" in shown.run("return document.body.className"))
+    assert found(shown) == []
 
 
 def test_all_arms_are_stopped_from_the_list(trouble: Trouble, driver: object) -> None:

@@ -40,12 +40,26 @@ FRAMES = [
         ],
     }
 ]
-ARMS = {"trusses": TRUSSES, "joints": JOINTS, "platforms": PLATFORMS, "frames": FRAMES, "mixed": TRUSSES + JOINTS}
+TOOLED = [{"type": "vgt", "count": 4, "width": 0.2, "lengths": [0.2, 0.25]}]  # with this tip:
+TIP = {"position": [0.05, 0.2], "orientation": 0.3}
+SERIES = [
+    {"type": "revolute", "count": 3, "cylinders": [[-0.3, 0.1], [-0.1, 0.4]], "link": {"position": [0, 0.2]}},
+    {"type": "prismatic", "axis": [0, 1], "cylinders": [[0.1, 0.15], [0.0, 0.1]]},
+]
+ARMS = {
+    "trusses": TRUSSES,
+    "joints": JOINTS,
+    "platforms": PLATFORMS,
+    "frames": FRAMES,
+    "mixed": TRUSSES + JOINTS,
+    "tooled": TOOLED,
+    "series": SERIES,
+}
 
 
 def arm_of(folder: Path, modules: list[dict], **more: object) -> Arm:
-    """The arm of a file arm.yaml with these modules, in a folder."""
     file = folder / "arm.yaml"
+    more |= {"tip": TIP} if modules is TOOLED else {}
     file.write_text(yaml.safe_dump({"name": "a", "modules": modules, "tolerance": {"position": 0.002}, **more}))
     return load(file)
 
@@ -61,7 +75,6 @@ def erring(arm: Arm, rng: np.random.Generator, *, each: bool = False, size: floa
 def measured(
     arm: Arm, real: Model, rng: np.random.Generator, count: int, *, oriented: bool = True, noise: float = 1.0
 ) -> Samples:
-    """Simulated measurements of the real arm in `count` random configurations."""
     manipulator = arm.manipulator
     configurations = np.column_stack([rng.integers(0, k, count) for k in manipulator.states])
     lines = np.arange(count) + 2

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import math
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -12,8 +12,12 @@ import yaml
 from hyperbit.controller import cli
 from hyperbit.controller.commands.connection import connected
 from hyperbit.controller.commands.operate import demo
+from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.host.signals import ENDING
 from hyperbit.drivers.canopen.tools import session
+from hyperbit.drivers.simulation.simulation import Simulation
+from tests.endpoints import free_endpoint
+from tests.gateway.conftest import Gateway
 
 Told = Callable[..., str]
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
@@ -52,7 +56,6 @@ def told(hyperbit) -> Told:
 
 @pytest.fixture
 def own_folders(monkeypatch, tmp_path):
-    """Gives a test its own cache folder and ledger."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
@@ -66,7 +69,6 @@ def brief_listening(monkeypatch):
 
 @pytest.fixture
 def spatial(tmp_path):
-    """An arm of six spatial modules without boards."""
     turned = [0.0, math.sin(0.25), 0.0, math.cos(0.25)]
     states = [{"position": [0, 0, 0.1]}, {"position": [0.02, 0.0, 0.12], "orientation": turned}]
     states += [{"position": [0.0, 0.03, 0.11]}]
@@ -96,3 +98,18 @@ def pytest_runtest_teardown(item, nextitem):
     if DAEMON in item.session.stash and (nextitem is None or nextitem.path.parent != item.path.parent):
         item.session.stash[DAEMON][0].close()
         del item.session.stash[DAEMON]
+
+
+@pytest.fixture
+def boards(arm: Path) -> Iterator[Simulation]:
+    read = read_arm(arm)
+    simulation = Simulation(read.wiring, read.timing)
+    simulation.start()
+    yield simulation
+    simulation.stop()
+
+
+@pytest.fixture
+def gateway():
+    with ExitStack() as stack:
+        yield Gateway(stack, free_endpoint())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import inspect
 import json
@@ -153,7 +154,7 @@ def test_an_arm_is_a_file_only_if_it_is_a_regular_file(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("", "name: required, but missing"),
+        ("", "is empty"),
         ("- 1", "name: required, but missing"),
         ("name: a/b", "name: "),
         ("name: [a]", "name: "),
@@ -183,3 +184,30 @@ def test_a_command_that_finds_no_folder_says_what_to_do(hyperbit, monkeypatch):
         1,
         "numba cannot write its machine code: set NUMBA_CACHE_DIR to a folder that you can write\n",
     )
+
+
+def test_a_file_that_ends_too_early_is_an_error_with_its_place(hyperbit, monkeypatch):
+    def damaged(*_: object) -> None:
+        raise EOFError("Ran out of input")
+
+    monkeypatch.setattr("hyperbit.controller.commands.study.report.load", damaged)
+    with pytest.raises(RuntimeError, match="a file ends too early: Ran out of input"):
+        hyperbit("fk", "deploy/planar16.yaml", "0")
+
+
+def test_a_full_disk_is_told_in_words(hyperbit, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", "/out.png")
+
+    monkeypatch.setattr("hyperbit.controller.commands.study.report.load", full)
+    code, _, err = hyperbit("fk", "deploy/planar16.yaml", "0")
+    assert (code, err) == (1, "/out.png: No space left on device\nNext: free it, and start the command again\n")
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "ascii"])
+def test_terminals_that_are_not_utf8_show_tables(tmp_path, encoding):
+    environment = {**os.environ, "PYTHONIOENCODING": encoding}
+    command = [sys.executable, "-m", "hyperbit", "plan", str(ARM), "--configuration", "0" * 16]
+    done = subprocess.run(command, capture_output=True, env=environment)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"th [rad]" in done.stdout

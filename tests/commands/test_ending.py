@@ -16,8 +16,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.endpoints import free_endpoint
 from tests.keys import DEPLOY
-from tests.network.played import PlayedArm, Router, free_endpoint
+from tests.network.played import PlayedArm, Router
 from tests.recorder.test_recording import written
 from tests.system.stack import arms
 from tests.waiting import PATIENCE, eventually
@@ -39,7 +40,6 @@ Start = Callable[..., subprocess.Popen[bytes]]
 
 @pytest.fixture(scope="session")
 def densities(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The cache folder of all daemons."""
     return tmp_path_factory.mktemp("cache")
 
 
@@ -76,7 +76,6 @@ def start(tmp_path: Path, densities: Path) -> Iterator[Start]:
 
 
 def ignores_hang_up(process: subprocess.Popen[bytes]) -> bool:
-    """Whether a process ignores SIGHUP."""
     mask = re.search(r"SigIgn:\s*([0-9a-f]+)", Path(f"/proc/{process.pid}/status").read_text())
     return mask is not None and bool(int(mask[1], 16) >> (signal.SIGHUP - 1) & 1)
 
@@ -133,5 +132,4 @@ def test_a_demo_that_is_ended_ends_its_daemon(start: Start) -> None:
 
 
 def children(pid: int) -> list[int]:
-    """Returns the ids of a process's children."""
     return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]

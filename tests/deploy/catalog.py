@@ -9,8 +9,8 @@ PATH = DEPLOY / "hyperbit.catalog"
 SUPPORT = "file:///opt/hyperbit/doc/README.md"
 FAULT = "At @HYPERBIT_SOURCE@ of the arm @HYPERBIT_ARM@. The running goal was ended, and the arm holds."
 WARNINGS = (
-    *("bus-passive", "board-limits", "outputs-off", "clock-set", "network-lost", "degraded", "journal"),
-    *("unknown-position", "ledger-unwritten", "ledger-damaged"),
+    *("bus-passive", "board-limits", "outputs-off", "clock-set", "certificate-ends", "network-lost", "degraded"),
+    *("journal", "unknown-position", "ledger-unwritten", "ledger-damaged"),
 )
 OTHERS = {
     "mode-starting": "The boards of the arm @HYPERBIT_ARM@ are booting. Nothing moves.",
@@ -30,7 +30,6 @@ OTHERS = {
 
 
 def text() -> str:
-    """Returns the text of the catalog."""
     entries = {}
     for code, advice in ADVICE.items():
         action = str(advice).replace("Then hold Reset", "Then run `hyperbit reset`")

@@ -16,8 +16,9 @@ from hyperbit.controller.gateway.claim import AlreadyRunning, Claim
 from hyperbit.controller.network import session
 from hyperbit.controller.network.fleet import ArmAddress, Fleet, alive
 from hyperbit.controller.network.stop_all import stop_all
+from tests.endpoints import free_endpoint
 from tests.keys import DEPLOY, certificates, made
-from tests.network.played import PlayedArm, free_endpoint
+from tests.network.played import PlayedArm
 from tests.waiting import PATIENCE, eventually
 
 pytestmark = pytest.mark.skipif(not made(), reason="openssl is missing")
@@ -78,7 +79,6 @@ def cell(keys: Path) -> Iterator[Cell]:
 
 
 def reached(cell: Cell, who: str) -> zenoh.Session:
-    """A session that knows both arms."""
     opened = cell.open(who)
     eventually(lambda: alive(opened) == [HERE, THERE], told=lambda: str(alive(opened)))
     return opened

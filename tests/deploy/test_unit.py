@@ -35,7 +35,6 @@ analyzed = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="s
 
 
 def settings(unit: Path) -> dict[str, list[str]]:
-    """Returns the values of each setting of a unit, in order."""
     found: dict[str, list[str]] = {}
     for line in unit.read_text().splitlines():
         if "=" in line and not line.startswith("#"):
@@ -142,25 +141,19 @@ def test_the_panel_is_off_at_first_and_reaches_no_can() -> None:
     assert "--listen" not in panel["ExecStart"][0], "the loopback interface, as long as nobody asks for another"
 
 
-def test_the_recorder_is_off_at_first_and_reaches_this_computer_only() -> None:
-    recorder, install = settings(UNITS["hyperbit-recorder"]), (DEPLOY / "install.sh").read_text()
-    assert "hyperbit-recorder" in install
-    assert "enable hyperbit-recorder" not in install.replace("--now ", "")
-    assert (recorder["IPAddressDeny"], recorder["IPAddressAllow"]) == (["any"], ["localhost"])
-    assert "AF_CAN" not in recorder["RestrictAddressFamilies"][0]
-    assert "Group" not in recorder, "the executor's socket is not for it"
-    assert recorder["MemoryDenyWriteExecute"] == ["yes"]
-    assert "--keep" in recorder["ExecStart"][0], "recordings must not fill the disk"
-
-
-def test_the_bridge_to_ros_2_is_off_at_first_and_reaches_this_computer_only() -> None:
-    bridge, install = settings(UNITS["hyperbit-ros2"]), (DEPLOY / "install.sh").read_text()
-    assert "hyperbit-ros2" in install
-    assert "enable hyperbit-ros2" not in install.replace("--now ", "")
-    assert (bridge["IPAddressDeny"], bridge["IPAddressAllow"]) == (["any"], ["localhost"])
-    assert "AF_CAN" not in bridge["RestrictAddressFamilies"][0]
-    assert "Group" not in bridge, "the executor's socket is not for it"
-    assert bridge["StateDirectory"] == ["hyperbit-ros2"], "the goals of action clients outlive it"
+@pytest.mark.parametrize("name", ["hyperbit-recorder", "hyperbit-ros2"])
+def test_recorder_and_bridge_are_off_at_first_and_reach_this_computer_only(name: str) -> None:
+    unit, install = settings(UNITS[name]), (DEPLOY / "install.sh").read_text()
+    assert name in install
+    assert f"enable {name}" not in install.replace("--now ", "")
+    assert (unit["IPAddressDeny"], unit["IPAddressAllow"]) == (["any"], ["localhost"])
+    assert "AF_CAN" not in unit["RestrictAddressFamilies"][0]
+    assert "Group" not in unit, "the executor's socket is not for it"
+    if name == "hyperbit-ros2":
+        assert unit["StateDirectory"] == ["hyperbit-ros2"], "the goals of action clients outlive it"
+    else:
+        assert unit["MemoryDenyWriteExecute"] == ["yes"]
+        assert "--keep" in unit["ExecStart"][0], "recordings must not fill the disk"
 
 
 def test_the_router_is_off_at_first_and_reaches_networks_only() -> None:
@@ -218,3 +211,11 @@ def test_the_rules_for_adapters_are_whole() -> None:
         assert len(matches["NAME"]) <= 15
         assert any(fnmatch(matches["NAME"], pattern) for pattern in network)
     assert len(rules) == 3
+
+
+def test_the_page_removes_all_services() -> None:
+    text = (DEPLOY / "README.md").read_text().partition("## Remove")[2].partition("```\n\n")[0]
+    assert "systemctl stop 'hyperbit*'" in text
+    (disabled,) = [line for line in text.splitlines() if "systemctl disable" in line]
+    enabled = {path.stem for path in DEPLOY.glob("*.service") if "[Install]" in path.read_text()}
+    assert enabled <= set(disabled.split())

@@ -24,7 +24,6 @@ from tests.documents.payloads import payloads
 
 
 def structs() -> Iterator[type[msgspec.Struct]]:
-    """Returns the structs of the arm's file and of payloads."""
     for module in (settings, goal, requests, setpoint, bias):
         for value in vars(module).values():
             if isinstance(value, type) and issubclass(value, msgspec.Struct) and value.__module__ == module.__name__:
@@ -32,12 +31,10 @@ def structs() -> Iterator[type[msgspec.Struct]]:
 
 
 def fields(struct: Any) -> set[str]:
-    """Returns the names of a struct's fields."""
     return set(struct.__struct_encode_fields__)
 
 
 def sources(*folders: str) -> Iterator[str]:
-    """Returns the texts of the Python files in folders."""
     for folder in folders:
         for path in sorted((ROOT / folder).rglob("*.py")):
             yield path.read_text()
@@ -51,7 +48,6 @@ def keys() -> set[str]:
 
 
 def faults() -> set[str]:
-    """Returns the codes of faults and warnings."""
     from hyperbit.controller.panel.arms.faults import ADVICE
 
     return set(ADVICE)
@@ -65,12 +61,10 @@ def faults_of_the_code() -> set[str]:
 
 
 def exit_codes() -> set[str]:
-    """Returns the exit codes that the command line documents."""
     return set(re.findall(r"(\d+) [a-z]", str(cli.__doc__).partition("Exit codes: ")[2].partition("\n")[0]))
 
 
 def result_codes() -> set[str]:
-    """Returns the codes of results."""
     return {str(value) for name, value in vars(codes).items() if name.isupper()}
 
 
@@ -81,25 +75,21 @@ def reasons() -> list[str]:
 
 
 def rooms() -> set[str]:
-    """Returns the packages of the controller and of the drivers."""
     found = [path.parent for folder in ("controller", "drivers") for path in (ROOT / folder).glob("*/__init__.py")]
     return {f"{path.relative_to(ROOT).as_posix()}" for path in found}
 
 
 def targets() -> set[str]:
-    """Returns the targets of the Makefile."""
     line = re.search(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
     assert line
     return set(line[1].split())
 
 
 def units() -> set[str]:
-    """Returns the units of systemd."""
     return {path.name for path in (ROOT / "deploy").glob("*.service")}
 
 
 def shipped_arms() -> set[str]:
-    """Returns the names of the arms in deploy/."""
     return {path.stem for path in (ROOT / "deploy").glob("*.yaml")}
 
 

@@ -55,9 +55,6 @@ def forking(folder: Path) -> Iterator[str]:
         process.communicate()
 
 
-# --- the process
-
-
 def main(path: str) -> None:
     for name in NEEDED:
         importlib.import_module(name)
@@ -76,7 +73,6 @@ def main(path: str) -> None:
 
 
 def become(there: socket.socket) -> None:
-    """Runs the command that is asked for in this process."""
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     head, files, _, _ = socket.recv_fds(there, 8, 3)
     asked = b""

@@ -29,14 +29,7 @@ MARK = re.compile(r"^<!-- (not run|with|request|prints|table)(?:: (.*?))? -->$")
 
 
 class Example(NamedTuple):
-    """One fenced block.
-
-    Attributes:
-        line: number of the line at which the block begins.
-        language: word after the fence.
-        text: its lines.
-        marks: marks before it, by name.
-    """
+    """One fenced block."""
 
     line: int
     language: str
@@ -48,8 +41,6 @@ class Table(NamedTuple):
     """One marked table.
 
     Attributes:
-        line: number of its first line.
-        name: of the mark.
         names: in backticks in the column of the mark.
         examples: in backticks in the column that is headed "example".
     """
@@ -64,11 +55,7 @@ class Page(NamedTuple):
     """One page.
 
     Attributes:
-        path: of the file.
-        text: all of it.
         prose: its lines outside of fenced blocks.
-        examples: fenced blocks.
-        tables: marked tables.
     """
 
     path: Path
@@ -90,11 +77,6 @@ def find() -> list[Path]:
 
 
 def read(path: Path) -> Page:
-    """Returns a page.
-
-    Raises:
-        ValueError: a block or a mark has another form than this module describes.
-    """
     text = path.read_text()
     lines, examples, tables, prose = text.splitlines(), list[Example](), list[Table](), list[str]()
     marks: dict[str, str] = {}
@@ -130,7 +112,6 @@ def read(path: Path) -> Page:
 
 
 def named(rows: list[str], column: int) -> list[str]:
-    """Returns the names in backticks in a column of a table's rows."""
     cells = [re.split(r"(?<!\\)\|", row)[column] for row in rows]
     return [name for cell in cells for name in re.findall(r"`([^`]+)`", cell)]
 
@@ -156,13 +137,11 @@ def commands(page: Page) -> list[str]:
 
 
 def modules(page: Page) -> list[str]:
-    """Returns the modules that a page runs with `python -m`."""
     found = [name for line in code(page) for name in re.findall(r"python3? -m ([\w.]+)", line)]
     return [name for name in found if name.islower()]  # NAME stands for any
 
 
 def targets(page: Page) -> list[str]:
-    """Returns the targets of `make` that a page names."""
     return [found[1] for line in code(page) if (found := re.match(r" *make ([a-z0-9-]+)", line))]
 
 
@@ -173,6 +152,5 @@ def headings(page: Page) -> set[str]:
 
 
 def paths(page: Page) -> list[str]:
-    """Returns the paths of this repository in backticks."""
     rooms = re.compile(r"^(?:controller|drivers|tests|deploy)/[\w./*@-]*$")
     return [text for text in re.findall(r"`([^`\n]+)`", page.prose) if rooms.match(text)]

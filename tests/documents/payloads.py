@@ -54,5 +54,4 @@ def payloads() -> dict[str, set[str]]:
 
 
 def feedback(messages: list[dict[str, Any]]) -> set[str]:
-    """Returns the names of the fields of feedback among messages on a goal."""
     return {name for message in messages if "waypoint" in message for name in message}

@@ -48,11 +48,6 @@ def prepare(folder: Path, hyperbit: str) -> None:
 
 
 def run(page: Page, folder: Path, daemon: Daemon) -> None:
-    """Runs the examples of a page in order.
-
-    Raises:
-        AssertionError: an example fails, or prints other lines than the page.
-    """
     variables: dict[str, Any] = {"__name__": "__main__"}
     printed = ""
     for example in page.examples:
@@ -128,7 +123,6 @@ def send(example: Example, endpoint: str | None, where: str) -> None:
 
 
 def compare(expected: str, printed: str, where: str) -> None:
-    """Compares the lines on a page with the printed lines."""
     lines = [" ".join(line.split()) for line in printed.splitlines()]
     for line in filter(None, (" ".join(line.split()) for line in expected.splitlines())):
         form = re.compile(".*".join(map(re.escape, line.split("..."))))

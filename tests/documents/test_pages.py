@@ -10,7 +10,7 @@ import msgspec
 import pytest
 import yaml
 
-from tests.documents import facts, page, running
+from tests.documents import facts, page, reference, running
 
 PAGES = page.find()
 FRONT = page.ROOT / "README.md"
@@ -72,7 +72,6 @@ def test_each_target_of_make_exists(path):
 
 
 def tables() -> dict[str, list[tuple[str, page.Table]]]:
-    """Returns the tables of all pages by name, each with its page's name."""
     found = defaultdict[str, list[tuple[str, page.Table]]](list)
     for read in map(page.read, PAGES):
         for table in read.tables:
@@ -121,3 +120,7 @@ def test_the_front_page_names_each_page():
     front = page.read(FRONT)
     linked = {(FRONT.parent / target).resolve() for target in page.links(front)}
     assert set(PAGES) - {FRONT} <= linked
+
+
+def test_the_reference_of_the_library_is_that_of_its_docstrings():
+    assert reference.PATH.read_text() == reference.text(), "python -m tests.documents.reference"

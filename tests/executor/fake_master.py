@@ -72,7 +72,6 @@ class FakeMaster:
             self.leave(now)
 
     def leave(self, now: float) -> None:
-        """Sends the SYNC."""
         if self.committing:
             self.committing = self.collecting = False
             mask = (self.outputs ^ self._target) & ~self.partly
@@ -99,7 +98,6 @@ class FakeMaster:
                     self._reads(k, 1 - on, 0)
 
     def _reads(self, k: int, end: int, level: int) -> None:
-        """Sets the reading of an actuator's end-stop, if it has one at that end."""
         channel, line = self._wiring.channels[k], k
         if (channel.input if end else channel.input_contracted) is None:
             return

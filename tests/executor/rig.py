@@ -18,6 +18,7 @@ from hyperbit.controller.program import (
     TICK,
     VERSION,
     Alive,
+    Answer,
     Diagnostics,
     Ended,
     Hello,
@@ -103,8 +104,16 @@ class Rig:
         return self.agenda.now
 
     @property
+    def answer(self) -> tuple[bool, str]:
+        last = self.last(Answer)
+        return last.accepted, last.message
+
+    @property
+    def faults(self) -> list[tuple[str, str]]:
+        return [(fault.code, fault.source) for fault in self.snapshot.faults]
+
+    @property
     def epoch(self) -> int:
-        """The executor's epoch."""
         return self.core.modes.epoch
 
     def do(self, event: Any) -> None:
@@ -201,7 +210,6 @@ class Rig:
 
     @property
     def switched(self) -> list[int]:
-        """States of all commits."""
         return [states for _, states in self.master.commits]
 
     @property

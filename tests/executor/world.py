@@ -27,8 +27,6 @@ class World(Hardware, Witness):
         core: of the present process, or of the last one.
         heard: messages to the planner, with their times.
         syncs: times at which SYNCs were handed out [s].
-        logged: lines of the log.
-        ended: whether a process has ended.
     """
 
     core: Executor
@@ -46,20 +44,15 @@ class World(Hardware, Witness):
         self.connect()
         self._keep_alive()
 
-    # --- what a test gives
-
     def connect(self) -> None:
-        """Connects the planner, which then keeps itself alive."""
         self.send(Hello(VERSION, "planner", "small"))
 
     def leave(self) -> None:
-        """Closes the planner's connection."""
         self.executor.hear(PLANNER, ClientGone(PLANNER))
         self.agenda.run(WAKE_UP)
 
     @property
     def epoch(self) -> int:
-        """The executor's epoch."""
         assert self.executor.core is not None
         return self.executor.core.modes.epoch
 
@@ -81,7 +74,6 @@ class World(Hardware, Witness):
                 each()
 
     def run(self, number: int, *states: int, step: float = 0.2) -> None:
-        """Sends a program from the present states."""
         snapshot = self.last(Snapshot)
         stages = tuple(Stage(pack(bits, SIZE), at=step * k, mark=k) for k, bits in enumerate(states))
         self.send(Program(number, snapshot.epoch, snapshot.outputs, 0.0, stages, True, False, f"goal {number}"))
@@ -90,8 +82,6 @@ class World(Hardware, Witness):
         if self.has_planner:
             self.executor.hear(PLANNER, FromClient(PLANNER, Alive()))
         self.agenda.after(TICK, self._keep_alive)
-
-    # --- what comes out
 
     def of(self, kind: type) -> list[Any]:
         return [message for _, message in self.heard if isinstance(message, kind)]
@@ -105,7 +95,6 @@ class World(Hardware, Witness):
 
     @property
     def has_planner(self) -> bool:
-        """Whether the executor knows the planner."""
         core = self.executor.core
         return core is not None and core._clients.planner is not None
 
@@ -115,7 +104,6 @@ class World(Hardware, Witness):
 
     @property
     def driven(self) -> int:
-        """States to which the valves drive the actuators."""
         return sum(end << k for k, end in enumerate(self.boards.drives()))
 
     def started(self) -> None:
@@ -140,7 +128,6 @@ class World(Hardware, Witness):
 
 
 def ready(**fields: Any) -> World:
-    """Returns a world whose arm is ready."""
     world = World(**fields)
     world.go(2.0)
     assert world.mode == "ready", world.logged

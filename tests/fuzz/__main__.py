@@ -48,7 +48,6 @@ ROW = "{:10} {:11} {:>10} {:>10} {:>8} {:>8} {:>8} {:>8} {:>9}"
 
 
 def attack(job: tuple[str, str, int], room: Path) -> dict[str, Any]:
-    """Runs one target with one engine in a separate process; returns the figures."""
     target, engine, runs = job
     out = room / f"{target}-{engine}.json"
     command = [sys.executable, "-m", "tests.fuzz.engine", target, engine, str(runs), str(out)]

@@ -12,8 +12,6 @@ from hyperbit.drivers.canopen.wiring import BusWiring
 
 
 class Decoder(CanBus):
-    """Makes events of python-can's messages as the executor's bus does."""
-
     def __init__(self, settings: BusWiring) -> None:
         super().__init__(settings)
         self._message: can.Message | None = None

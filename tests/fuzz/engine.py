@@ -98,7 +98,6 @@ def footprint() -> tuple[int, int]:
 
 
 def by_hypothesis(name: str, runs: int, out: Path) -> None:
-    """Fuzzes with examples of the target's strategy."""
     from hypothesis import HealthCheck, Phase, given, seed, settings
 
     from tests.fuzz.targets import TARGETS

@@ -63,7 +63,6 @@ def read_jog(data: bytes) -> int:
 
 
 def read_setpoint(data: bytes) -> int:
-    """A setpoint, for an arm in space."""
     try:
         it = setpoint.decode(data, dimension=3, tolerance=0.002)
     except Refusal as error:
@@ -101,7 +100,6 @@ def read_measured_tip(data: bytes) -> int:
 
 
 def read_obstacles(data: bytes) -> int:
-    """Regions to keep a planar arm out of, and one in space."""
     for dimension in (2, 3):
         try:
             it = requests.decode_obstacles(data, dimension)
@@ -115,7 +113,6 @@ def read_obstacles(data: bytes) -> int:
 
 
 def arm_of(*states: int) -> Manipulator:
-    """An arm with one module for each number of states."""
     return Manipulator([transforms([frames.planar(k, 1) for k in range(n)], planar=True) for n in states])
 
 
@@ -134,7 +131,7 @@ def read_notation(data: bytes) -> int:
             continue
         assert parse_configuration(arm, format_configuration(arm, configuration)).tolist() == configuration.tolist()
     try:
-        assert np.isfinite(parse_goal(text, 2, "--goal")[0]).all()
+        assert np.isfinite(parse_goal(text.split(","), 2, "--goal")[0]).all()
     except InputFaults as error:
         assert all(error.faults)  # noqa: PT017 - no test
     return 1

@@ -12,8 +12,6 @@ from hypothesis import strategies as st
 
 NOW = 1_800_000_000.0
 
-# --- right ones
-
 GOAL: dict[str, Any] = {
     "id": "a-1",
     "stamp": NOW + 1,
@@ -82,8 +80,6 @@ def plain(value: Any) -> bytes:
     """Returns a value as YAML without aliases."""
     return yaml.safe_dump(json.loads(json.dumps(value)), default_flow_style=None).encode()
 
-
-# --- gone wrong
 
 AWKWARD: list[Any] = [
     None, True, False, 0, -1, 1, 2, 63, 64, 126, 127, 10_000, 10_001, 1 << 64, -(1 << 63), 10**400,

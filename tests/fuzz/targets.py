@@ -39,7 +39,6 @@ class Target:
 
 
 def request(read: Attack, *right: object) -> Target:
-    """Payloads in JSON, as peers send them."""
     seeds = [requests.written(value) for value in right]
     return Target(lambda: read, seeds, requests.wrong(*right), requests.spoiler(*right))
 

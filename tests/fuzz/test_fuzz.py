@@ -49,9 +49,6 @@ def test_hypothesis_finds_nothing(name, examples):
     run()
 
 
-# --- what would be found
-
-
 def test_a_frame_that_no_goal_asks_for_is_found():
     world = World()
     with pytest.raises(Moved, match="080h  was sent in mode ready without a goal"):

@@ -93,8 +93,6 @@ class World(Hardware, Witness):
     def master(self) -> Master:
         return self.core._master
 
-    # --- what the judge sees
-
     def told(self, event: Event) -> None:
         self._end_event()
         self._event, self._before = event, (self.core.motion.readings.read, self.master.known)
@@ -103,7 +101,6 @@ class World(Hardware, Witness):
             self.judge.proposed(event.message)
 
     def _end_event(self) -> None:
-        """Checks what the last event has changed."""
         event, self._event = self._event, None
         if event is None:
             return
@@ -131,8 +128,6 @@ class World(Hardware, Witness):
         elif client == PLANNER:
             self.judge.heard(message)
 
-    # --- time
-
     def go(self, ticks: int = 1) -> None:
         """Advances the time of all parts by a number of periods."""
         self.agenda.run(ticks * TICK)
@@ -141,8 +136,6 @@ class World(Hardware, Witness):
     def _keep_alive(self) -> None:
         self.executor.hear(PLANNER, FromClient(PLANNER, Alive()))
         self.agenda.after(TICK, self._keep_alive)
-
-    # --- the planner
 
     def _greet(self, client: ClientId) -> None:
         role: Literal["planner", "operator"] = "planner" if client == PLANNER else "operator"
@@ -168,10 +161,7 @@ class World(Hardware, Witness):
         start, epoch = pack(self.master.outputs, SIZE), self.core.modes.epoch
         self.send(Program(number, epoch, start, 0.0, packed, True, False, "goal"))
 
-    # --- frames
-
     def attack(self, it: can.Message) -> None:
-        """Sends a frame of the intruder to the executor and to the boards."""
         standard = not (it.is_extended_id or it.is_remote_frame or it.is_error_frame or it.is_fd)
         events = self._decoder.decode(it)
         if standard != any(isinstance(event, FrameReceived) for event in events):
@@ -205,18 +195,11 @@ class World(Hardware, Witness):
         super()._to_boards(bus, sent, lost)
 
     def supply(self, node: int, on: bool) -> None:
-        """Switches a board's supply off or on."""
         self.dirty = True
         self.fault("power_on" if on else "power_cut", f"can0/{node}")
 
-    # --- what must hold
-
     def check_outputs(self) -> None:
-        """Compares the boards' outputs with the master's commands, unless the intruder commanded them.
-
-        Raises:
-            Moved: they differ, and that is not because of a commit that is on its way.
-        """
+        """Compares the boards' outputs with the master's commands, unless the intruder commanded them."""
         for _ in range(5):
             drives = sum(drive << k for k, drive in enumerate(self.boards.drives()))
             if self.dirty or drives == self.master.outputs:
@@ -225,11 +208,7 @@ class World(Hardware, Witness):
         raise Moved(f"the outputs are {drives:06b}, switched to {self.master.outputs:06b}")
 
     def recover(self) -> None:
-        """Removes all faults, resets, and checks that the arm becomes ready.
-
-        Raises:
-            Wedged: the arm does not become ready.
-        """
+        """Removes all faults, resets, and checks that the arm becomes ready."""
         self._answers.clear()
         if self.dirty:
             for node in NODES:

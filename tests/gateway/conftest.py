@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import socket
 import sqlite3
 import threading
 import time
@@ -36,6 +35,7 @@ from hyperbit.controller.planning.loop import Mailbox
 from hyperbit.controller.planning.planner import decode_cancel
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
+from tests.endpoints import free_endpoint
 from tests.waiting import PATIENCE, eventually
 
 ARM = "a"
@@ -48,10 +48,7 @@ class FakePlanner:
 
     Attributes:
         heard: key and message of each request.
-        arrivals: their numbers.
         decoded: keys of the payloads that were decoded.
-        waiting: answers that wait.
-        receive: mailboxes.
     """
 
     def __init__(self) -> None:
@@ -139,13 +136,11 @@ class Gateway:
         return Server(self.session, ARM, parts)
 
     def find(self, goal: str) -> Payload | None:
-        """The ledger's row of a goal."""
         if not self.readable:
             raise sqlite3.OperationalError("unable to open database file")
         return self.rows.get(goal)
 
     def other(self) -> zenoh.Session:
-        """A session of a client."""
         return self._stack.enter_context(zenoh.open(session.configuration("client", connect=self.endpoint)))
 
     def client(self) -> Client:
@@ -167,9 +162,7 @@ class Gateway:
 
 @pytest.fixture
 def endpoint() -> str:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    return free_endpoint()
 
 
 @pytest.fixture

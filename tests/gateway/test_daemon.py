@@ -37,8 +37,6 @@ FIRST, SECOND = "4646676700771206", "0000000000000001"
 
 
 class Process:
-    """A planner with its executor, in folders of its own."""
-
     def __init__(self, arm: Path, endpoint: str, folder: Path, ledger: Path, *words: str) -> None:
         self.endpoint, self.ledger, self.folder = endpoint, ledger, folder
         environment = {
@@ -102,7 +100,6 @@ def connected(process: Process) -> Iterator[tuple[Client, list[dict[str, Any]], 
 
 
 def gone(number: int) -> bool:
-    """Whether a process has ended."""
     try:
         os.kill(number, 0)
     except ProcessLookupError:

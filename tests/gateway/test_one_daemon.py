@@ -26,7 +26,6 @@ def confirmed(claim: Claim, timeout: float = PATIENCE) -> bool:
 
 @pytest.fixture
 def two(endpoint: str) -> Iterator[list[zenoh.Session]]:
-    """Two sessions; the second one connects to the first one."""
     with ExitStack() as stack:
         yield [
             stack.enter_context(zenoh.open(session.configuration("peer", **{how: endpoint})))

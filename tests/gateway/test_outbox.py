@@ -8,14 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hyperbit.controller.gateway.outbox import (
-    MOST_WAITING,
-    POLL,
-    RECONNECTED,
-    SENT_WITHIN,
-    Outbox,
-    encoded,
-)
+from hyperbit.controller.gateway.outbox import MOST_WAITING, POLL, RECONNECTED, SENT_WITHIN, Outbox, encoded
 from hyperbit.controller.planning.core.events import Identity, Published, PublishResult
 from tests.waiting import PATIENCE, eventually
 
@@ -55,7 +48,6 @@ class Results:
     Attributes:
         told: goals that ended, programs that were noted, and numbers that were posted.
         fatal: messages of a thread that died.
-        fail: whether noting fails.
     """
 
     def __init__(self, session: FakeSession) -> None:

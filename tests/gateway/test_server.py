@@ -22,7 +22,6 @@ GOAL = b'{"id": "x", "waypoints": []}'
 
 
 def asked(session: zenoh.Session, key: str, payload: bytes = GOAL) -> list[dict[str, Any]]:
-    """The answers to a get."""
     replies = session.get(key, payload=payload, target=zenoh.QueryTarget.ALL, timeout=PATIENCE)
     return [json.loads(content(reply.ok.payload)) for reply in replies if reply.ok is not None]
 

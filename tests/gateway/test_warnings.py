@@ -4,18 +4,21 @@ import logging
 
 import pytest
 
-from hyperbit.controller.gateway.daemon import REMEMBERED, Warnings
+from hyperbit.controller.gateway.daemon import CERTIFICATES_EVERY, REMEMBERED, Warnings
 from hyperbit.controller.program import Fault
 
 
 class Bench:
-    """A system whose clocks and network the test controls."""
-
     def __init__(self) -> None:
         self.now, self.set_by, self.reachable = 100.0, 1.7e9, True
         self.others: tuple[Fault, ...] = ()
+        self.certificates = list[str]()
         self.warnings = Warnings(
-            lambda: self.reachable, lambda: self.others, lambda: self.now + self.set_by, lambda: self.now
+            lambda: self.reachable,
+            lambda: self.others,
+            lambda: self.now + self.set_by,
+            lambda: self.now,
+            lambda: self.certificates,
         )
 
     def codes(self, after: float = 0.05) -> list[str]:
@@ -66,3 +69,12 @@ def test_a_lost_network_is_a_warning_until_a_while_after_its_return(bench: Bench
 def test_warnings_of_others_are_added(bench: Bench) -> None:
     bench.others = (Fault("ledger-unwritten", "ledger", "full"),)
     assert bench.codes() == ["ledger-unwritten"]
+
+
+def test_a_certificate_that_ends_soon_is_a_warning_until_it_is_renewed(bench: Bench) -> None:
+    assert bench.codes() == []
+    bench.certificates = ["certificate a.pem ends on 2026-06-10"]
+    assert bench.codes(CERTIFICATES_EVERY) == ["certificate-ends"]
+    assert bench.codes(CERTIFICATES_EVERY / 2) == ["certificate-ends"]
+    bench.certificates = []
+    assert bench.codes(CERTIFICATES_EVERY) == []

@@ -20,8 +20,6 @@ from hyperbit.controller.host.journal import (
 
 
 class Others(logging.Handler):
-    """Remembers the records that the journal did not accept."""
-
     def __init__(self) -> None:
         super().__init__()
         self.texts: list[str] = []
@@ -31,8 +29,6 @@ class Others(logging.Handler):
 
 
 class Journal:
-    """A journal's socket, a logger that writes to it, and the received datagrams."""
-
     def __init__(self, folder: Path) -> None:
         self.path = folder / "socket"
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)

@@ -1,4 +1,4 @@
-"""The folder for the machine code of the kernels."""
+"""The machine code of the kernels: its folder, and damaged files."""
 
 from __future__ import annotations
 
@@ -83,3 +83,46 @@ def test_a_temporary_folder_that_others_can_write_is_not_used(tmp_path, nowhere,
         " to a folder that you can write"
     )
     assert os.environ.get(machine_code.VARIABLE) == before
+
+
+KEPT = """
+import sys
+import hyperbit.controller
+sys.path.insert(0, sys.argv[1])
+import kernels_of_a_test
+print(kernels_of_a_test.twice(4), sum(kernels_of_a_test.twice.stats.cache_hits.values()))
+"""
+
+
+def kept_kernel(folder: Path, **more: str) -> tuple[str, str]:
+    """Runs the kernel of a test in another process; returns its result with the number of cache hits, and stderr."""
+    if not (module := folder / "kernels_of_a_test.py").exists():
+        module.write_text(KERNEL)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache"), **more}
+    done = subprocess.run([sys.executable, "-c", KEPT, folder], capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip(), done.stderr
+
+
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+@pytest.mark.parametrize(
+    "damage", [lambda data: b"", lambda data: data[: len(data) // 2], lambda data: bytes(len(data))]
+)
+def test_a_damaged_file_is_compiled_and_kept_again(tmp_path, suffix, damage):
+    assert kept_kernel(tmp_path) == ("8 0", "")
+    assert kept_kernel(tmp_path) == ("8 1", "")
+    [file] = (tmp_path / "cache").rglob(f"*.{suffix}")
+    file.write_bytes(damage(file.read_bytes()))
+    assert kept_kernel(tmp_path) == ("8 0", "")
+    assert kept_kernel(tmp_path) == ("8 1", "")
+
+
+def test_a_full_disk_is_told_once(capsys):
+    before = list(machine_code.told)
+    machine_code.told.clear()
+    for _ in range(2):
+        with machine_code.forgiving(None):
+            raise OSError(28, "No space left on device")
+    machine_code.told[:] = before
+    text = "numba cannot keep its machine code: [Errno 28] No space left on device; it is compiled again at each start"
+    assert capsys.readouterr().err == f"{text}\n"

@@ -73,7 +73,6 @@ def start() -> Iterator[Start]:
 
 
 def said(process: subprocess.Popen[str]) -> str:
-    """The next line of a process."""
     assert process.stdout
     return process.stdout.readline().strip()
 

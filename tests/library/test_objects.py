@@ -114,10 +114,7 @@ def test_the_library_imports_no_plotting_and_no_statistics() -> None:
 
 
 def test_a_truss_on_a_joint_is_drawn_without_a_gap() -> None:
-    truss, joint = (
-        hb.vgt("AD", width=0.2, lengths=(0.2, 0.25), count=2),
-        hb.revolute([-0.3, 0.3], link=(0.0, 0.2)),
-    )
+    truss, joint = (hb.vgt("AD", width=0.2, lengths=(0.2, 0.25), count=2), hb.revolute([-0.3, 0.3], link=(0.0, 0.2)))
     arm = hb.Arm([truss, joint, truss, hb.prismatic((0, 1), [0.1, 0.2]), truss])
     whole = arm._whole
     for row in arm.sample(4):

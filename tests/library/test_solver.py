@@ -140,12 +140,9 @@ def test_every_method_answers(arm: hb.Arm, ik: hb.Solver) -> None:
 @pytest.mark.parametrize("drawn", ["path", "solution", "mapping", "nothing"])
 def test_pictures(arm: hb.Arm, ik: hb.Solver, drawn: str, tmp_path) -> None:
     goals = [arm.position(row) for row in arm.sample(2, seed=2)]
-    given = {
-        "path": ik.follow(goals),
-        "solution": ik.solve(goals[0]),
-        "mapping": {"home": arm.home},
-        "nothing": None,
-    }[drawn]
+    given = {"path": ik.follow(goals), "solution": ik.solve(goals[0]), "mapping": {"home": arm.home}, "nothing": None}[
+        drawn
+    ]
     figure = hb.plot(arm, given, obstacles=[hb.Disc((2.0, 2.0), 0.1)], targets=goals)
     figure.savefig(tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 1000

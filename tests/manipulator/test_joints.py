@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from hyperbit.controller.manipulator import frames
-from hyperbit.controller.manipulator.joints import prismatic, revolute
+from hyperbit.controller.manipulator.joints import prismatic, revolute, summed
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.manipulator.module import binary_code, gray_code
 from tests.arms import any_frames, coordinates, spatial_frames
@@ -90,3 +90,16 @@ def test_actuators_spell_the_position():
     arm = Manipulator([module] * 2)
     assert arm.switches([7, 3], [8, 4]) == 2
     assert arm.configuration([1, 0, 0, 0, 0, 0, 1, 1]).tolist() == [15, 2]
+
+
+@given(st.lists(st.tuples(coordinates, coordinates), min_size=1, max_size=4), st.integers(0, 2**32 - 1))
+def test_cylinders_in_series_add_their_values_also_in_mid_travel(cylinders, seed):
+    values, bits = summed(cylinders), binary_code(1 << len(cylinders))
+    assert_allclose(values, [sum(pair[bit] for pair, bit in zip(cylinders, own, strict=True)) for own in bits], **TIGHT)
+    module = revolute((0, 0, 1), values, LINK, bits)
+    between = np.random.default_rng(seed).random((1, len(cylinders)))
+    angle = sum(low + share * (high - low) for (low, high), share in zip(cylinders, between[0], strict=True))
+    assert_allclose(
+        module.between(between)[0][0], frames.planar(-0.5 * math.sin(angle), 0.5 * math.cos(angle), angle), **TIGHT
+    )
+    assert module.actuators == tuple(str(k + 1) for k in range(len(cylinders)))

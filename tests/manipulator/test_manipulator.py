@@ -15,7 +15,6 @@ from tests.arms import any_frames, paper_arm, planar_frames, short_arms, spatial
 
 @st.composite
 def posed(draw, count=1, **arm):
-    """An arm and `count` of its configurations."""
     manipulator = draw(short_arms(**arm))
     chosen = [[draw(st.integers(0, k - 1)) for k in manipulator.states] for _ in range(count)]
     return manipulator, np.array(chosen)

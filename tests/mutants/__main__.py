@@ -59,7 +59,6 @@ def main() -> int:
 
 
 def parsed() -> argparse.Namespace:
-    """Returns the options."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=0, help="seed of the sample")
     parser.add_argument("--sample", type=int, default=50, help="number of mutants")
@@ -92,8 +91,6 @@ def commit() -> str:
 
 
 class Run:
-    """Checks a sample of mutants."""
-
     def __init__(self, options: argparse.Namespace, results: Results, chosen: list[tuple[str, Mutant]]) -> None:
         self._options, self._results, self._chosen = options, results, chosen
         self._limit = 0.0  # of the simulation [s]
@@ -130,7 +127,6 @@ class Run:
         return True
 
     def _begin(self, todo: deque[Task], children: list[Child]) -> None:
-        """Starts the next check, if its result is not known."""
         room, mutant, phase = task = todo.popleft()
         known = None if mutant is None else self._results.found.get((mutant.id, phase))
         if known is not None:
@@ -145,7 +141,6 @@ class Run:
             children.append(start(task, partial(run_tests, mutant, files), TESTS_LIMIT, patience))
 
     def _take(self, task: Task, result: Result, todo: deque[Task]) -> bool:
-        """Stores a result; returns False if the program without a defect fails."""
         room, mutant, phase = task
         if mutant is None:
             if result["found"]:

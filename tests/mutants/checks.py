@@ -9,7 +9,6 @@ import signal
 import sys
 import tempfile
 from collections.abc import Iterable
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -55,17 +54,11 @@ def warm_up() -> None:
 
 
 def simulate(mutant: Mutant | None, steps: int, first: int = 0) -> Result:
-    """Runs worlds of all kinds in turn until one fails, or until they have run all steps.
-
-    Args:
-        mutant: the planted defect; None: none.
-        steps: number of steps of all worlds.
-        first: seed of the first worlds.
-    """
+    """Runs worlds of all kinds in turn until one fails, or until they have run all steps."""
     if mutant is not None:
         sitecustomize.plant(mutant.module, str(ROOT / mutant.file), mutant.source)
     try:
-        from tests.simulation.__main__ import KINDS, STEPS_A_SEED, world_of
+        from tests.simulation.__main__ import KINDS, STEPS_A_SEED, Turns, world_of
         from tests.simulation.whole.planner_process import LOGS
     except Exception as error:
         return {"found": True, "why": f"import: {_told(error)}"}
@@ -73,31 +66,25 @@ def simulate(mutant: Mutant | None, steps: int, first: int = 0) -> Result:
         return {"found": False, "why": "the simulation does not import the module"}
     for log in LOGS:
         log.setLevel(logging.CRITICAL + 1)
-    done = 0
-    for seed in count(first):
-        for kind in KINDS:
-            most = min(STEPS_A_SEED, steps - done)
-            if most <= 0:
-                return {"found": False, "why": "", "steps": done}
-            watch, why = _Watch(), ""
-            try:
-                world = watch.world = world_of(seed, kind)
-                world.run(most)
-            except Stuck:
-                why = "does not end"
-            except BaseException as error:
-                why = _told(error)
-            watch.end()
-            step = watch.step
-            done += step
-            if why:
-                return {"found": True, "why": why, "seed": seed, "kind": kind, "step": step, "steps": done}
-    raise AssertionError
+    turns = Turns(KINDS, first)
+    while turns.steps < steps:
+        kind, seed = turns.next()
+        watch, why = _Watch(), ""
+        try:
+            world = watch.world = world_of(seed, kind)
+            world.run(min(STEPS_A_SEED, steps - turns.steps))
+        except Stuck:
+            why = "does not end"
+        except BaseException as error:
+            why = _told(error)
+        watch.end()
+        turns.ran(kind, watch.step)
+        if why:
+            return {"found": True, "why": why, "seed": seed, "kind": kind, "step": watch.step, "steps": turns.steps}
+    return {"found": False, "why": "", "steps": turns.steps}
 
 
 class _Watch:
-    """Raises `Stuck` where a step takes too long."""
-
     def __init__(self) -> None:
         self.world: Any = None
         self._seen = -1
@@ -118,12 +105,7 @@ class _Watch:
 
 
 def run_tests(mutant: Mutant | None, files: Iterable[str]) -> Result:
-    """Runs test files until a test fails.
-
-    Args:
-        mutant: the planted defect; None: none.
-        files: paths, in the order of the run.
-    """
+    """Runs test files until a test fails."""
     import pytest
 
     if mutant is not None:
@@ -155,8 +137,6 @@ def run_tests(mutant: Mutant | None, files: Iterable[str]) -> Result:
 
 
 class _FirstFailure:
-    """A plugin of pytest."""
-
     test = why = ""
 
     def pytest_runtest_logreport(self, report: Any) -> None:
@@ -173,13 +153,7 @@ class _FirstFailure:
 
 
 def ordered_tests(room: str, mutant: Mutant | None, finders: Iterable[str] = ()) -> list[str]:
-    """Returns the test files of a room; those that have found defects of this module, or mirror it, come first.
-
-    Args:
-        room: a key of `TESTS`.
-        mutant: the defect; None: any order will do.
-        finders: test files that have found other defects of the module.
-    """
+    """Returns the test files of a room; those that have found defects of this module, or mirror it, come first."""
     files = [
         path.relative_to(ROOT).as_posix()
         for folder in TESTS[room]

@@ -25,7 +25,6 @@ class Child:
     """A forked process that writes one line of JSON.
 
     Attributes:
-        name: of its work, for the caller.
         seconds: wall-clock time since its start [s].
     """
 
@@ -45,8 +44,6 @@ def start(name: Any, work: Callable[[], Result], limit: float, patience: float) 
     """Forks a child that does the work and reports its result.
 
     Args:
-        name: of the work.
-        work: returns the result.
         limit: processor time [s].
         patience: wall-clock time [s].
     """
@@ -106,7 +103,6 @@ def ended(children: list[Child]) -> Iterator[tuple[Child, Result]]:
 
 
 def stop(children: list[Child]) -> None:
-    """Kills all children."""
     while children:
         child = children.pop()
         os.kill(child.pid, signal.SIGKILL)  # it may have no group yet

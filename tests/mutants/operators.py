@@ -36,8 +36,6 @@ class Context:
     """Where a node is.
 
     Attributes:
-        function: whether it is in a function.
-        constructor: whether it is in an `__init__`.
         last: whether nothing runs after this statement in its function, or in its pass of a loop.
     """
 
@@ -187,7 +185,6 @@ def is_text(node: ast.AST) -> bool:
 
 
 def named(node: ast.AST) -> str:
-    """Returns the last name of a name or an attribute."""
     return node.attr if isinstance(node, ast.Attribute) else getattr(node, "id", "")
 
 

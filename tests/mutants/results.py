@@ -35,7 +35,6 @@ class Results:
                     self._take(json.loads(line))
 
     def add(self, record: Record) -> None:
-        """Takes and stores a record."""
         self._take(record)
         if self._path is not None:
             text = self._path.read_bytes() if self._path.exists() else b""
@@ -57,7 +56,6 @@ class Results:
         return "" if any(records) else "open"
 
     def finders(self, module: str) -> list[str]:
-        """Returns the test files that found defects of a module, once for each."""
         return [
             record["test"].split("::")[0]
             for (_, phase), record in self.found.items()
@@ -66,7 +64,6 @@ class Results:
 
 
 def told(record: Record) -> str:
-    """Returns one line about a check."""
     if not record["found"]:
         return f"{record['phase']}: not found ({record['seconds']:.0f} s) {record['id']}"
     where = record.get("test") or (f"seed {record['seed']} {record['kind']}" if "seed" in record else "")
@@ -74,12 +71,7 @@ def told(record: Record) -> str:
 
 
 def table(mutants: Iterable[tuple[str, Mutant]], results: Results) -> str:
-    """Returns the counts of each room, then the survivors.
-
-    Args:
-        mutants: rooms and mutants.
-        results: of their checks.
-    """
+    """Returns the counts of each room, then the survivors."""
     mutants = [(room, mutant, results.found_by(mutant)) for room, mutant in mutants]
     rooms = sorted({room for room, _, _ in mutants})
     lines = [f"{'room':30} {'mutants':>8} {'simulation':>11} {'tests':>6} {'survivors':>10} {'not run':>8}"]
@@ -94,17 +86,12 @@ def table(mutants: Iterable[tuple[str, Mutant]], results: Results) -> str:
 
 
 def shown(mutant: Mutant) -> str:
-    """Returns a mutant's id, its place, and the line before and after the change."""
     place = mutant.place
     return f"{mutant.id}\n{place['file']}:{place['line']}\n  - {place['before']}\n  + {place['after']}"
 
 
 def equivalents(path: Path) -> dict[str, str]:
-    """Reads the ids of mutants that behave like the program; the indented lines below an id are its reason.
-
-    Raises:
-        ValueError: an id without a reason.
-    """
+    """Reads the ids of mutants that behave like the program; the indented lines below an id are its reason."""
     found: dict[str, str] = {}
     name = ""
     for line in path.read_text().splitlines():

@@ -22,11 +22,7 @@ class Mutant:
 
     Attributes:
         id: file, function, statement and change; with an ordinal if the function has the same one before.
-        file: path in the repository.
-        operator: name of the mutation operator.
         original: source of the file, UTF-8.
-        begin: where the change begins in the source.
-        end: where it ends there.
         text: what replaces that part.
     """
 
@@ -40,12 +36,10 @@ class Mutant:
 
     @property
     def module(self) -> str:
-        """Dotted name of the module."""
         return "hyperbit." + self.file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
     @property
     def source(self) -> str:
-        """The file with the defect."""
         return (self.original[: self.begin] + self.text.encode() + self.original[self.end :]).decode()
 
     @property
@@ -57,7 +51,6 @@ class Mutant:
 
 
 def mutants_of(path: str, source: str) -> list[Mutant]:
-    """Returns all mutants of a file, in the order of their places."""
     return list(_Sites(path, source).all())
 
 
@@ -162,7 +155,6 @@ def _shortened(text: str) -> str:
 
 
 def listed(root: Path, rooms: Iterable[str]) -> dict[str, list[Mutant]]:
-    """Returns all mutants of each room."""
     return {
         room: [
             mutant

@@ -21,7 +21,6 @@ EQUIVALENT = Path(__file__).with_name("equivalent.txt")
 
 
 def changed(source: str) -> set[str]:
-    """Returns what the changed line of each mutant of `source` says."""
     return {mutant.place["after"] for mutant in mutants_of("room/module.py", source)}
 
 
@@ -119,7 +118,6 @@ TOY = "def least(a, b):\n    if a < b:\n        return a\n    return b\n"
 
 
 def outcome(work: partial[Result], limit: float = 60.0) -> Result:
-    """Runs work in a forked child."""
     children = [start("toy", work, limit, 60.0)]
     while True:
         for _, result in ended(children):

@@ -2,25 +2,16 @@
 
 import contextlib
 import json
-import socket
 from contextlib import ExitStack
 from typing import Any
 
 import zenoh
 
 from hyperbit.controller.network import session
-
-
-def free_endpoint() -> str:
-    """Returns an endpoint of this computer at which nobody listens."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+from tests.endpoints import free_endpoint
 
 
 class Router:
-    """A router that can be ended and started again."""
-
     def __init__(self, stack: ExitStack) -> None:
         self.endpoint = free_endpoint()
         self.start()
@@ -33,7 +24,6 @@ class Router:
         self._session.close()
 
     def client(self, namespace: str = "") -> zenoh.Config:
-        """Returns the configuration of a client of this router."""
         config = session.configuration("client", connect=self.endpoint)
         if namespace:
             config.insert_json5("namespace", json.dumps(namespace))
@@ -44,7 +34,6 @@ class PlayedArm:
     """An arm that exists as a Zenoh session.
 
     Attributes:
-        requests: keys of the requests that reached it.
         answer: to `stop`; None: none.
     """
 
@@ -61,13 +50,11 @@ class PlayedArm:
         self._states: Any = self._session.declare_publisher(f"{self._prefix}/state")
 
     def end(self) -> None:
-        """Ends the session; the token disappears."""
         if not self._ended:
             self._ended = True
             self._session.close()
 
     def publish(self, **fields: Any) -> None:
-        """Publishes a state."""
         state = {"mode": "ready", "reason": "holding", "simulated": True, "goal": None, "faults": [], **fields}
         self.publish_bytes(json.dumps(state).encode())
 

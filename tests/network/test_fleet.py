@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 
 import pytest
@@ -14,7 +14,8 @@ import zenoh
 from hyperbit.controller.network import session
 from hyperbit.controller.network.fleet import LIST_TIMEOUT, ArmAddress, ArmStatus, Fleet, address_of, alive
 from hyperbit.controller.network.stop_all import stop_all
-from tests.network.played import PlayedArm, Router, free_endpoint
+from tests.endpoints import free_endpoint
+from tests.network.played import PlayedArm, Router
 from tests.waiting import PATIENCE, eventually
 
 # An arm in a process of its own, until its standard input ends.
@@ -27,12 +28,6 @@ with zenoh.open(session.configuration("peer", listen=sys.argv[1])) as opened:
     sys.stdin.read()
 """
 HERE, THERE, DEEP = ArmAddress("", "a"), ArmAddress("cell1", "a"), ArmAddress("plant/cell2", "a")
-
-
-@pytest.fixture
-def stack() -> Iterator[ExitStack]:
-    with ExitStack() as stack:
-        yield stack
 
 
 @pytest.fixture
@@ -51,8 +46,6 @@ def fleet(stack: ExitStack, viewer: zenoh.Session) -> Fleet:
 
 
 def awaited(fleet: Fleet, what: Callable[[dict[ArmAddress, ArmStatus]], bool]) -> dict[ArmAddress, ArmStatus]:
-    """Returns the arms as soon as they satisfy a condition."""
-
     def look() -> dict[ArmAddress, ArmStatus] | None:
         fleet.ask()
         arms = {arm.address: arm for arm in fleet.arms()}

@@ -18,7 +18,6 @@ ARM = json.dumps({"name": "a"}).encode()
 
 @pytest.fixture
 def ends(tmp_path: Path) -> Iterator[tuple[zenoh.Session, zenoh.Session]]:
-    """The daemon's session, and the recorder's."""
     endpoint = f"unixsock-stream/{tmp_path}/z.sock"
     with ExitStack() as stack:
         daemon = stack.enter_context(zenoh.open(session.configuration("peer", listen=endpoint)))

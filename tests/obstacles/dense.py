@@ -45,8 +45,6 @@ class Box:
 
 @dataclass(frozen=True)
 class HalfPlane:
-    """A half-space, or a half-plane."""
-
     point: tuple[float, ...]
     normal: tuple[float, ...]
 

@@ -4,6 +4,10 @@ import numpy as np
 import pytest
 
 from hyperbit.controller.arm.arm import load
+from hyperbit.controller.manipulator.frames import spatial
+from hyperbit.controller.manipulator.joints import prismatic
+from hyperbit.controller.manipulator.locked import lock_actuators
+from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.obstacles.single_switches import arm_switches, place_arm, switch_is_clear, switch_scratch
 from hyperbit.controller.obstacles.sweep import Sweep
@@ -36,6 +40,15 @@ def test_it_agrees_with_the_swept_check_or_is_stricter(name, self_collision):
                 alike.append(clear == proven)
     assert len(alike) > 100
     assert np.mean(alike) >= ALIKE
+
+
+def test_an_arm_with_a_joint_that_cannot_switch_has_the_switches_of_the_others():
+    modules = [
+        prismatic([0, 1, 0], [0.0, 0.05], spatial([0, 0.1, 0])),
+        prismatic([0, 1, 0], [0.1, 0.2], spatial([0, 0.1, 0])),
+    ]
+    reduced = lock_actuators(Manipulator(modules, np.eye(4)), np.array([0, -1]))
+    assert (arm_switches(reduced).following >= 0).sum(axis=(1, 2)).tolist() == [0, 2]
 
 
 def test_a_switch_to_no_state_is_none():

@@ -2,7 +2,6 @@
 
 import functools
 import json
-import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -21,7 +20,9 @@ from hyperbit.controller.panel.access.access import Access
 from hyperbit.controller.panel.access.people import PersonEntry, digest_of
 from hyperbit.controller.panel.app import PanelServer
 from hyperbit.controller.panel.serve import zenoh_configuration
+from tests.clock import Clock
 from tests.commands.conftest import hyperbit  # noqa: F401
+from tests.endpoints import free_endpoint
 from tests.keys import DEPLOY
 from tests.waiting import eventually
 
@@ -41,7 +42,6 @@ PATIENCE = 60.0  # [s]
 
 @functools.cache
 def paper_arm() -> Arm:
-    """The arm of all daemons of these tests, read once."""
     return load(DEPLOY / f"{ARM}.yaml")
 
 
@@ -51,7 +51,6 @@ class PlayedDaemon:
     Attributes:
         asked: key and payload of each request except `arm`.
         gate: event that answers to `plan` wait for.
-        planned: further fields of a planned waypoint.
     """
 
     def __init__(self, endpoint: str, name: str = ARM, *, mode: str = "peer") -> None:
@@ -99,11 +98,9 @@ class PlayedDaemon:
         query.reply(f"hyperbit/{self._name}/{key}", json.dumps(answer).encode())
 
     def commands(self) -> list[str]:
-        """Returns the keys of the requests, in order."""
         return [key for key, _ in self.asked]
 
     def state(self, **fields: Any) -> Message:
-        """Publishes a state."""
         states = [0] * len(self.manipulator.actuators)
         home = [0] * 16
         told = {
@@ -125,7 +122,6 @@ class PlayedDaemon:
                 self.put("state", self._latest)
 
     def put(self, key: str, payload: Message) -> None:
-        """Publishes a message."""
         self._session.put(f"hyperbit/{self._name}/{key}", json.dumps(payload).encode())
 
     def die(self) -> None:
@@ -133,14 +129,11 @@ class PlayedDaemon:
         self._token.undeclare()
 
     def close(self) -> None:
-        """Ends the session."""
         self.gate.set()
         self._session.close()  # type: ignore[no-untyped-call]
 
 
 class Opened:
-    """An open page."""
-
     def __init__(self, socket: WebSocketTestSession) -> None:
         self.socket = socket
         self.latest: dict[str, Message] = {}
@@ -178,35 +171,19 @@ class Opened:
         return self._number
 
     def ask(self, do: str, **fields: Any) -> Message:
-        """Sends a request and returns its answer."""
         number = self.send(do, **fields)
         return self.until("reply", lambda reply: reply["n"] == number)
 
 
-class HeldClock:
-    """A clock that stands: no command becomes too late while this machine is slow."""
-
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 class Site:
-    """A running panel, its daemon, and logged-in clients.
-
-    Attributes:
-        clock: of the pages' heartbeats.
-    """
+    """A running panel, its daemon, and logged-in clients."""
 
     def __init__(self, closing: ExitStack) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        endpoint = free_endpoint()
         self.daemon = PlayedDaemon(endpoint)
         closing.callback(self.daemon.close)
         config = zenoh_configuration([endpoint], None)
-        self.clock = HeldClock()
+        self.clock = Clock()  # it stands: no command becomes too late while this machine is slow
         self.panel = PanelServer(lambda: zenoh.open(config), Access(PEOPLE), clock=self.clock)
         self.browser = closing.enter_context(TestClient(self.panel.app, base_url=ORIGIN))
         self._closing = closing
@@ -222,7 +199,6 @@ class Site:
         return {"cookie": cookie, "origin": ORIGIN}
 
     def open(self, token: str = OPERATOR, path: str = f"/arms/{ARM}/live") -> Opened:
-        """Opens a page."""
         socket = self.browser.websocket_connect(SOCKETS + path, headers=self.cookie(token))
         return Opened(self.enter(socket))
 

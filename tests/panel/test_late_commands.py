@@ -16,7 +16,6 @@ EXEMPT = [(do, fields) for do, fields in COMMANDS if do in ("stop", "cancel")]
 
 
 def heard(page: Opened) -> int:
-    """Returns the number of the latest heartbeat that a page has heard."""
     return int(page.until("heartbeat")["number"])
 
 

@@ -1,11 +1,15 @@
 """Open pages: shown data, allowed requests, and isolation of pages from each other."""
 
 import json
+import threading
 
 import pytest
 
+from hyperbit.controller.panel.arm_page import RequestThreads
 from tests.panel.conftest import ARM, OPERATOR, OTHER, VIEWER, Opened, Site
-from tests.waiting import eventually
+from tests.waiting import PATIENCE, eventually
+
+PAGES_THAT_STOP = 24  # each asks over HTTP and over its WebSocket, again and again
 
 GOAL = {"waypoints": [{"position": [0.5, 2.9]}]}
 COMMANDS = [
@@ -131,7 +135,7 @@ def test_a_file_is_read_strictly(site: Site) -> None:
     assert answer["file"] == GOAL
     assert site.daemon.asked == [("plan", GOAL)]
     assert "alias" in page.ask("file", text="a: &x 1\nb: *x")["message"]
-    assert "an object" in page.ask("file", text="[1]")["message"]
+    assert "a mapping" in page.ask("file", text="[1]")["message"]
     assert "may have" in page.ask("file", text=" " * 60_000 + "{")["message"]
 
 
@@ -253,3 +257,14 @@ def test_pages_that_close_in_the_middle_leave_nothing(site: Site) -> None:
     eventually(lambda: not view.pages and site.panel._places.taken == 0)
     site.daemon.gate.set()
     assert site.open().ask("stop")["accepted"]
+
+
+def test_stops_that_nobody_answers_hold_up_no_other_stop() -> None:
+    threads, answered = RequestThreads(), threading.Event()
+    try:
+        for _ in range(PAGES_THAT_STOP):
+            threads.stops.submit(answered.wait)
+        assert threads.stops.submit(lambda: "stopped").result(PATIENCE) == "stopped"
+    finally:
+        answered.set()
+        threads.close()

@@ -1,6 +1,7 @@
 """A small arm, and the planner's core at a desk: an executor that the test plays, and workers that compute at once."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,6 +10,7 @@ from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.workspace.densities import Densities
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.planning.rig.desk import Desk
+from tests.planning.rig.executor import ScriptedExecutor
 
 MODULES = 4
 DOCUMENT: dict[str, Any] = {
@@ -38,11 +40,16 @@ def desk(small: Arm, small_densities: Densities) -> Desk:
 
 @pytest.fixture
 def make_desk() -> Callable[..., Desk]:
-    """Builds a desk of another arm."""
-
     def make(arm: Arm, densities: Densities | None = None, **more: Any) -> Desk:
         desk = Desk(arm, densities or map_densities(arm.reduced, arm.pixel, arm.level_pixels), **more)
         desk.executor.greet()
         return desk
 
     return make
+
+
+@pytest.fixture
+def executor(tmp_path: Path) -> Iterator[ScriptedExecutor]:
+    executor = ScriptedExecutor(tmp_path / "small.sock", 12)
+    yield executor
+    executor.close()

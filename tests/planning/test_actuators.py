@@ -8,16 +8,7 @@ import pytest
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.motion.decoding.goal import BEGIN_WITHIN
 from hyperbit.controller.planning.core.tasks import BuildTables
-from hyperbit.controller.program import (
-    Acknowledge,
-    Answer,
-    Lock,
-    Program,
-    Replacement,
-    Travel,
-    pack,
-    unpack,
-)
+from hyperbit.controller.program import Acknowledge, Answer, Lock, Program, Replacement, Travel, pack, unpack
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refused
 from tests.planning.conftest import DOCUMENT
@@ -224,9 +215,7 @@ def test_a_goal_during_a_jog_to_a_state_that_is_no_configuration_is_refused_with
     assert message.startswith("unknown state: the arm moves to states that are no configuration (jog jog-1)")
 
 
-def test_actuators_of_unknown_state_are_planned_from_a_guess_and_a_jog_homes_only_its_own(
-    desk: Desk,
-) -> None:
+def test_actuators_of_unknown_state_are_planned_from_a_guess_and_a_jog_homes_only_its_own(desk: Desk) -> None:
     unknown = pack(0b000011, desk.executor.actuators)
     known = pack(((1 << desk.executor.actuators) - 1) & ~0b000011, desk.executor.actuators)
     desk.show(known=known, homing=unknown)

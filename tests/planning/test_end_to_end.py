@@ -18,8 +18,6 @@ from tests.waiting import PATIENCE, eventually
 
 
 class Chain:
-    """A planner on an executor."""
-
     def __init__(self, arm: Arm, folder: Path) -> None:
         self.arm, self.folder, self.path, self.inbox = arm, folder, folder / "small.sock", Inbox()
         self.densities = map_densities(arm.reduced, arm.pixel, arm.level_pixels)
@@ -27,7 +25,6 @@ class Chain:
         self.planner = self.plan_anew()
 
     def plan_anew(self) -> RunningPlanner:
-        """Starts a planner."""
         planner = RunningPlanner(self.arm, self.densities, self.path, self.folder, self.inbox)
         eventually(lambda: planner.state.get("mode") == "ready")
         return planner
@@ -42,7 +39,6 @@ class Chain:
         self.planner.ask("goal", {"id": name, "waypoints": waypoints, **fields})
 
     def error(self, configuration: tuple[int, int]) -> float:
-        """Distance of the measured tip from that of a configuration."""
         tip = self.planner.state["tip"]
         wanted = self.arm.manipulator.tip(np.array(configuration))[:2, 3]
         return float("inf") if tip is None else float(np.linalg.norm(wanted - tip["position"]))

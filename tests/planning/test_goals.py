@@ -17,7 +17,6 @@ A, B, C = (1, 2, 0, 0), (3, 4, 0, 1), (7, 0, 2, 0)
 
 
 def taken(desk: Desk, *configurations: tuple[int, ...], **fields: object) -> Program:
-    """Sends a goal and accepts it; returns its program."""
     desk.goal(*configurations, **fields)  # type: ignore[arg-type]
     program = desk.executor.expect(Program)
     desk.executor.accept(program)
@@ -36,6 +35,7 @@ def test_a_goal_that_nothing_verifies_says_so(desk: Desk) -> None:
 
 
 def test_a_goal_becomes_a_program_and_its_result_is_told_once(desk: Desk) -> None:
+    assert desk.state()["progress"] is None
     desk.goal(A, B)
     program = desk.executor.expect(Program)
     assert (program.start, program.epoch, program.begin, program.name) == (bytes(2), 1, 0.0, "goal a")
@@ -47,14 +47,20 @@ def test_a_goal_becomes_a_program_and_its_result_is_told_once(desk: Desk) -> Non
     desk.executor.accept(program)
     reply = desk.inbox.next("reply")
     assert (reply["id"], reply["accepted"], reply["message"][:22]) == ("a", True, "accepted, 2 waypoints,")
+    desk.settle()
+    progress = desk.state()["progress"]
+    assert (progress["waypoints"], progress["reached"]) == (2, 0)
+    assert progress["ends"] - progress["begins"] == pytest.approx(0.26, abs=0.11), "both are rounded to 0.1 s"
     desk.executor.run(program, 0)
     told = desk.inbox.next("feedback")
     assert (told["id"], told["waypoint"], told["waypoints"], told["stages"]) == ("a", 0, 2, 1)
     assert told["error"] <= 0.002
     assert told["excursion"] >= 0
+    assert 0.0 <= told["remaining"] <= 0.27
     assert told["orientation_error"] is None
     desk.settle()
     assert (desk.state()["goal"], desk.state()["waypoint"]) == ("a", 0)
+    assert desk.state()["progress"]["reached"] == 1
     desk.executor.run(program, 1, switches=5)
     assert desk.inbox.next("feedback")["waypoint"] == 1
     ended = desk.executor.end(program, switches=5)

@@ -39,7 +39,6 @@ class Line:
         self.events: list[FromExecutor | LinkDown] = []
 
     def poll(self) -> None:
-        """Lets time pass, connects and receives."""
         self.now += RETRY
         self.link.connect(self.now)
         self.events += [
@@ -56,7 +55,6 @@ class Line:
         eventually(met)
 
     def welcome(self, count: int = 1) -> None:
-        """Waits for a number of Welcomes."""
         self.until(lambda: sum(isinstance(message, Welcome) for message in self.messages) == count)
 
     @property
@@ -83,8 +81,6 @@ def executor(line: Line) -> Iterator[ScriptedExecutor]:
 
 
 class Deaf:
-    """An executor that greets and does not read."""
-
     def __init__(self, line: Line) -> None:
         self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._server.bind(str(line.path))
@@ -95,7 +91,6 @@ class Deaf:
         line.welcome()
 
     def read(self) -> list[bytes]:
-        """Returns what waits to be read."""
         read = []
         while True:
             try:

@@ -73,7 +73,6 @@ class Bench:
         pass
 
     def ask(self, reply: Any) -> None:
-        """Requests a reset."""
         self.loop.request(self.loop.arrive(), "reset", None, reply)
 
     def handle(self, *events: Event) -> list[Event]:
@@ -99,16 +98,6 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     bench.link.close()
 
 
-@pytest.fixture
-def executor(tmp_path: Path) -> Iterator[ScriptedExecutor]:
-    executor = ScriptedExecutor(tmp_path / "small.sock", 12)
-    yield executor
-    executor.close()
-
-
-# --- order
-
-
 def test_posted_events_come_before_messages(executor: ScriptedExecutor, bench: Bench) -> None:
     executor.expect(Hello)
     while not any(isinstance(event, FromExecutor) for event in bench.core.steps):
@@ -131,9 +120,6 @@ def test_events_posted_by_the_core_s_actions_wait_for_the_next_round(bench: Benc
     bench.services.broken = {"start"}
     assert bench.handle(REQUEST) == [REQUEST]
     assert bench.handle() == [Answered(1, Failed("RuntimeError('start is broken')"), True)]
-
-
-# --- times
 
 
 def test_the_core_steps_at_the_begin_also_if_the_executor_does_not_answer(bench: Bench) -> None:
@@ -179,9 +165,6 @@ def test_changed_warnings_are_told(bench: Bench) -> None:
     bench.now += WARNINGS_EVERY
     told += bench.handle()
     assert [event for event in told if isinstance(event, Warned)] == [Warned((fault,)), Warned(())]
-
-
-# --- actions
 
 
 def test_actions_are_carried_out_in_order(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
@@ -254,11 +237,7 @@ def test_the_recorder_gets_each_step_until_it_fails(bench: Bench) -> None:
     assert len(bench.services.calls) == 3
 
 
-# --- the end
-
-
 def run(bench: Bench) -> None:
-    """Runs the loop with its thread until it ends by itself."""
     bench.loop.start()
     assert bench.loop.ended.wait(PATIENCE)
 
@@ -303,9 +282,6 @@ def test_closing_refuses_what_was_not_answered(bench: Bench) -> None:
     bench.loop.close()
     bench.loop.close()
     assert [payload["message"] for payload in answered] == [Reason.SHUTTING_DOWN.sentence]
-
-
-# --- threads
 
 
 def test_no_event_is_missed(bench: Bench) -> None:

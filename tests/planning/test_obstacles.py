@@ -5,16 +5,7 @@ from typing import Any
 import numpy as np
 
 from hyperbit.controller.planning.core.tasks import BuildScene, CheckStages, CheckStanding, PlanGoal
-from hyperbit.controller.program import (
-    Begun,
-    Cancel,
-    Clearance,
-    Program,
-    Question,
-    Replaced,
-    Replacement,
-    unpack,
-)
+from hyperbit.controller.program import Begun, Cancel, Clearance, Program, Question, Replaced, Replacement, unpack
 from hyperbit.controller.refusals import codes
 from tests.planning.rig.desk import Desk
 from tests.planning.test_goals import A, B, taken
@@ -28,7 +19,6 @@ def obstacles(desk: Desk, *discs: tuple[list[float], float]) -> dict[str, Any]:
 
 
 def send(desk: Desk, *discs: tuple[list[float], float]) -> None:
-    """Sends obstacles; the answer may come later."""
     regions = [
         {"disc": {"centre": centre, "radius": radius}, "name": f"d{k}"} for k, (centre, radius) in enumerate(discs)
     ]

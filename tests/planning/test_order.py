@@ -14,7 +14,6 @@ from tests.planning.test_goals import A, B
 
 
 def replies(desk: Desk, key: str = "reply") -> list[str | None]:
-    """Returns the reasons of the answers so far."""
     return [payload.get("reason") for came, payload in desk.inbox.payloads if came == key]
 
 

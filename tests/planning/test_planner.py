@@ -34,8 +34,6 @@ from tests.waiting import PATIENCE
 
 
 class Bench:
-    """A planner with a scripted core, which answers each request with its number."""
-
     def __init__(self, arm: Arm, densities: Densities, path: Path) -> None:
         self.core, self.services, inbox = ScriptedCore(), Remembering(), Inbox()
         link = ExecutorLink(path, "small", DIGEST)
@@ -60,7 +58,6 @@ class Bench:
         self.planner.loop.close()
 
     def end(self, event: Quit) -> list[Any]:
-        """Ends the core, with a last message."""
         self.core.ended = True
         return [ToExecutor(Acknowledge(7))]
 
@@ -72,13 +69,6 @@ def bench(small: Arm, small_densities: Densities, tmp_path: Path) -> Iterator[Be
     bench.planner.loop.start()
     yield bench
     bench.end_in_order()
-
-
-@pytest.fixture
-def executor(tmp_path: Path) -> Iterator[ScriptedExecutor]:
-    executor = ScriptedExecutor(tmp_path / "small.sock", 12)
-    yield executor
-    executor.close()
 
 
 def test_requests_are_numbered_and_answered(bench: Bench) -> None:

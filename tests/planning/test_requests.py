@@ -73,15 +73,7 @@ def test_a_cancel_of_one_goal(decoder: RequestDecoder) -> None:
     assert decoder.decode("cancel", b'{"id": "a 1"}') == CancelMessage("a 1")
 
 
-NO_NAMES = [
-    b"",
-    b"{}",
-    b"null",
-    b"[]",
-    b'"a"',
-    b'{"id": null}',
-    NO_JSON,
-]
+NO_NAMES = [b"", b"{}", b"null", b"[]", b'"a"', b'{"id": null}', NO_JSON]
 
 
 @pytest.mark.parametrize("data", [*NO_NAMES, b"[" * 100_000, b'{"id": "a"'])

@@ -34,7 +34,6 @@ numbers = st.integers(0, 2**62)
 
 
 def of(info: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
-    """Values of an inspected type."""
     match info:
         case msgspec.inspect.Metadata(type=inner):
             return of(inner)
@@ -69,7 +68,6 @@ def of(info: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
 
 
 def structs(kind: type) -> st.SearchStrategy[Any]:
-    """Messages of a kind."""
     info = msgspec.inspect.type_info(kind)
     assert isinstance(info, msgspec.inspect.StructType)
     return st.builds(kind, **{field.name: of(field.type) for field in info.fields})

@@ -18,8 +18,6 @@ SECOND = 1_000_000_000  # [ns]
 
 
 class Read(NamedTuple):
-    """A message as a reader returns it."""
-
     topic: str
     at: int
     data: dict[str, Any]
@@ -66,7 +64,6 @@ def recovered_by_another(data: bytes) -> list[Read]:
 
 
 def names(path: Path) -> list[str]:
-    """The kinds of records in a file, from its beginning."""
     with path.open("rb") as stream:
         return [type(record).__name__ for record in StreamReader(stream).records]
 
@@ -76,14 +73,12 @@ def planar() -> Arm:
 
 
 def told(arm: Arm) -> dict[str, Any]:
-    """What the daemon tells of an arm."""
     daemon = {"host": "robot", "pid": 1}
     payload = {**description(arm), "limits": [], "drawing": drawing(arm), "file": file(arm), "daemon": daemon}
     return json.loads(json.dumps(payload))  # type: ignore[no-any-return]
 
 
 def state(arm: Arm, configuration: list[int], stamp: float, **changes: Any) -> dict[str, Any]:
-    """A `state` of an arm that holds."""
     states = arm.manipulator.actuator_states(configuration).tolist()
     common = {"stamp": stamp, "mode": "ready", "reason": "holding", "faults": [], "degraded": [], "goal": None}
     return {**common, "commanded": states, "measured": states, "configuration": "", "tip": None, **changes}

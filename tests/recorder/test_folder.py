@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from hyperbit.controller.recorder.folder import CAN_LOG, Folder, FolderInUse
+from hyperbit.controller.host.keeper import FileInUse
+from hyperbit.controller.recorder.folder import CAN_LOG, Folder
 from hyperbit.controller.recorder.repair import unfinished
 from tests.recorder.samples import read
 from tests.recorder.test_recording import numbers, written
@@ -22,7 +23,7 @@ def test_names_tell_arm_and_time_and_never_meet(tmp_path: Path) -> None:
 
 def test_one_recorder_writes_an_arm(tmp_path: Path) -> None:
     folder = Folder(tmp_path, "a")
-    with pytest.raises(FolderInUse, match="another recorder writes the arm 'a'"):
+    with pytest.raises(FileInUse, match="end the other recorder of the arm 'a', or use another --folder"):
         Folder(tmp_path, "a")
     Folder(tmp_path, "b").close()
     folder.close()

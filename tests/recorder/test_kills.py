@@ -4,7 +4,6 @@ import json
 import os
 import random
 import signal
-import socket
 import struct
 import subprocess
 import sys
@@ -20,6 +19,7 @@ import zenoh
 from hyperbit.controller.network import session
 from hyperbit.controller.recorder.folder import Folder
 from hyperbit.controller.recorder.recording import FLUSH_EVERY
+from tests.endpoints import free_endpoint
 from tests.recorder.samples import planar, read, read_by_another, read_unfinished, recovered_by_another, state, told
 from tests.waiting import eventually
 
@@ -43,10 +43,7 @@ main()
 @pytest.fixture
 def daemon() -> Iterator[str]:
     """The endpoint of a daemon that publishes an arm's state 50 times a second, as fast as the machine lets it."""
-    arm, ending = planar(), threading.Event()
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    arm, ending, endpoint = planar(), threading.Event(), free_endpoint()
     description = json.dumps(told(arm)).encode()
 
     def publish(opened: zenoh.Session) -> None:

@@ -146,11 +146,7 @@ def test_many_keys_of_somebody_else_do_not_become_many_channels(tmp_path: Path, 
 
 
 def test_a_disk_that_fails_is_told_and_tried_again(
-    tmp_path: Path,
-    recorder: Recorder,
-    arm: Arm,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+    tmp_path: Path, recorder: Recorder, arm: Arm, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     recorder.receive_message(heard(1.0, "arm", told(arm)))
     recorder.receive_message(heard(1.0, "state", state(arm, [0] * 16, 1.0)))

@@ -24,7 +24,6 @@ GOAL = {"waypoints": [{"position": [0.5, 2.8]}]}
 
 
 def recorded(folder: Path, fill: Callable[[Recorder], None], arm: dict[str, Any] | None = None) -> Path:
-    """A recording of the paper's arm."""
     began: list[Path] = []
     place = Folder(folder, "planar16")
     recorder = Recorder("planar16", place, Limits(10**9, 10**9), began=began.append)
@@ -93,8 +92,6 @@ def test_goals_of_a_recording_lead_to_the_same_configurations_again(tmp_path: Pa
 
 
 class Played:
-    """A simulated arm that comes wherever the test says."""
-
     def __init__(self, result: dict[str, Any], reached: dict[int, str | None], *, there: bool = True) -> None:
         self.result, self.reached, self.there = result, reached, there
         self.sent: list[dict[str, Any]] = []

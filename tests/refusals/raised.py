@@ -12,15 +12,12 @@ CONTROLLER = Path(__file__).parents[2] / "controller"
 
 
 class Made(NamedTuple):
-    """One call of `Refusal` with the name of a reason: where it stands, and the names of its facts."""
-
     where: str
     reason: Reason
     facts: frozenset[str]
 
 
 def calls() -> list[tuple[str, ast.Call]]:
-    """Returns each call that makes a refusal in the controller's code, and where it stands."""
     texts = ((path, path.read_text()) for path in sorted(CONTROLLER.rglob("*.py")))
     return [
         (f"{path.relative_to(CONTROLLER)}:{node.lineno}", node)
@@ -42,7 +39,6 @@ def makes_refusal(call: ast.Call) -> bool:
 
 
 def made() -> list[Made]:
-    """Returns each call of `Refusal` that names its reason."""
     found = []
     for where, call in calls():
         match call.args[0]:

@@ -27,7 +27,6 @@ def fields(template: str) -> list[tuple[str, str, str]]:
 
 
 def facts_of(reason: Reason) -> set[str]:
-    """Returns the names of the facts in the sentence of a reason."""
     return {name for name, _, _ in fields(reason.sentence)}
 
 

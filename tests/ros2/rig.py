@@ -86,7 +86,6 @@ class Rig:
         return eventually(found, PATIENCE, lambda: f"{words}: {self.said[-5:]}, {self.log('bridge')[-500:]}")
 
     def await_ready(self) -> None:
-        """Waits until the arm is ready."""
         states: list[Any] = []
         name = "diagnostic_msgs/msg/DiagnosticArray"
         subscriber = self.node.subscriber("/diagnostics", name, lambda it: states.append(it.message))

@@ -35,7 +35,6 @@ def place(base: Any = None, dimension: int = 2) -> Place:
 
 
 def state(name: str = "planar16", **fields: Any) -> dict[str, Any]:
-    """A state of an arm with all modules in their first state."""
     manipulator = chain(name)
     home = np.zeros(len(manipulator.modules), np.int64)
     bits = [int(bit) for module in manipulator.modules for bit in module.bits[0]]

@@ -44,11 +44,14 @@ def test_a_damaged_file_forgets_the_goals_and_is_replaced(tmp_path: Path, conten
     assert book.goals() == []
     book.put(FIRST)
     assert GoalBook(path).goals() == [FIRST]
+    [aside] = tmp_path.glob("a.json.damaged-*")
+    assert aside.read_bytes() == content
 
 
 def test_a_folder_that_cannot_be_written_harms_no_goal(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     book = GoalBook(tmp_path / "gone" / "a.json")
     (tmp_path / "gone").rmdir()
+    (tmp_path / "gone").touch()
     book.put(FIRST)
     assert book.goals() == [FIRST]
     assert "a restart would forget the goals" in caplog.text

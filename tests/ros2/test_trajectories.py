@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 
 from hyperbit.controller.manipulator.notation import parse_configuration
 from hyperbit.controller.motion.decoding.goal import parse
-from hyperbit.controller.ros2.poses import BadGoal
+from hyperbit.controller.ros2.poses import BadGoal, Place, waypoint
 from hyperbit.controller.ros2.trajectories import actuator_goal, tip_goal, tip_positions
+from hyperbit.controller.ros2.wire.cdr import message
+from hyperbit.controller.ros2.wire.types import Types
 from tests.ros2.samples import chain, message_bytes, place, state, trajectory_goal
 
 
@@ -30,6 +32,30 @@ def test_a_trajectory_of_the_tip_is_a_goal_of_the_daemon() -> None:
     assert [it["t"] for it in found["waypoints"]] == [0.0, 1.0]
     assert (found["tolerance"], found["path_tolerance"]) == ({"position": 0.01}, 0.3)
     assert parse(message_bytes(found)).waypoints[1].position == [0.4, 2.8]
+
+
+def test_an_erased_tolerance_is_none() -> None:
+    erased = [{"name": name, "position": -1.0} for name in ("tip_x", "tip_y", "tip_yaw")]
+    goal = trajectory_goal(["tip_x", "tip_y"], [[0.5, 2.9]], goal_tolerance=erased, path_tolerance=erased)
+    found = tip_goal(goal, place())
+    assert (found["tolerance"], "path_tolerance" in found) == ({"orientation": math.pi}, False)
+
+
+def test_an_angle_in_the_frame_of_a_tilted_base_is_that_of_the_same_pose() -> None:
+    base = np.eye(4)
+    base[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]  # turned by 90 degrees about x: an arm on a wall
+    wall, yaw = Place("world", "wall", base, 3), 0.6
+    header = {"header": {"frame_id": "wall/0"}}
+    names = ["tip_x", "tip_y", "tip_z", "tip_yaw"]
+    (point,) = tip_goal(trajectory_goal(names, [[0.1, 0.2, 0.3, yaw]], trajectory=header), wall)["waypoints"]
+    turned = {
+        "position": {"x": 0.1, "y": 0.2, "z": 0.3},
+        "orientation": {"z": math.sin(yaw / 2), "w": math.cos(yaw / 2)},
+    }
+    pose = message({**header, "pose": turned}, "geometry_msgs/msg/PoseStamped", Types("jazzy"))
+    same = waypoint(pose, wall, "goal_pose", oriented=True)
+    assert point["position"] == pytest.approx(same["position"])
+    assert point["orientation"] == pytest.approx(same["orientation"])
 
 
 def test_an_angle_in_space_is_about_z() -> None:
@@ -53,9 +79,19 @@ def test_an_angle_in_space_is_about_z() -> None:
             "trajectory.header.frame_id: 'map'",
         ),
         (
-            trajectory_goal(["tip_x", "tip_y"], [[1, 2]], goal_tolerance=[{"name": "tip_x", "position": -1.0}]),
+            trajectory_goal(["tip_x", "tip_y"], [[1, 2]], goal_tolerance=[{"name": "tip_x", "position": -2.0}]),
             -1,
             "goal_tolerance: a tolerance is negative",
+        ),
+        (
+            trajectory_goal(["tip_x", "tip_y"], [[1, 2]], goal_tolerance=[{"name": "elbow", "position": 0.1}]),
+            -2,
+            "goal_tolerance: 'elbow', expected joints of the tip: tip_x, tip_y, tip_yaw",
+        ),
+        (
+            trajectory_goal(["tip_x", "tip_y"], [[1, 2]], path_tolerance=[{"name": "tip_yaw", "position": 0.1}]),
+            -1,
+            "path_tolerance: tip_yaw: lines are followed by position only",
         ),
     ],
 )

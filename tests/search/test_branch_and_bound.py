@@ -15,14 +15,7 @@ from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace import cost_to_go
 from hyperbit.controller.workspace.hull import build_hull
 from tests.arms import paper_arm
-from tests.search.test_certificates import (
-    any_arm,
-    lattice_arm,
-    least_cost,
-    obstacle,
-    pose_on_the_shell,
-    solver_of,
-)
+from tests.search.test_certificates import any_arm, lattice_arm, least_cost, obstacle, pose_on_the_shell, solver_of
 
 FOREVER = 1e9  # [s]
 

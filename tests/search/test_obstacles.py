@@ -116,8 +116,6 @@ class Scenario(NamedTuple):
     """Obstacles, with goals among them.
 
     Attributes:
-        parts: the obstacles.
-        clearance: the arm's clearance among them.
         turn: tolerance of the angle [rad]; infinite without orientation.
         previous: first configuration (B,).
         goals: frames (n, 4, 4) of the goals.

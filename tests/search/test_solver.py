@@ -142,8 +142,7 @@ def test_a_planar_arm_on_a_tilted_base_takes_goals_in_space(base):
 @each_method
 @settings(max_examples=20)
 @given(
-    manipulator=short_arms(planar_modules) | short_arms(listed(spatial_frames, planar=False)),
-    seed=st.integers(0, 1000),
+    manipulator=short_arms(planar_modules) | short_arms(listed(spatial_frames, planar=False)), seed=st.integers(0, 1000)
 )
 def test_short_arms_are_brought_as_near_as_any_configuration_brings_them(method, manipulator, seed):
     solver = solver_of(manipulator, 0.1)

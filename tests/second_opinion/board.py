@@ -49,8 +49,6 @@ class Change(NamedTuple):
 
     Attributes:
         cause: "SYNC", "RPDO", "START", "error", "SDO write", "NMT" or "power".
-        before: pins before.
-        after: pins after.
     """
 
     node: int
@@ -60,7 +58,6 @@ class Change(NamedTuple):
 
     @property
     def energised(self) -> int:
-        """Mask of the pins that went on."""
         return self.after & ~self.before
 
 
@@ -82,8 +79,6 @@ class Board:
         self._inputs = 0
         self._moves: deque[tuple[float, int]] = deque()
         self.power_on(0.0)
-
-    # --- supply and NMT
 
     def power_on(self, now: float) -> None:
         self._now = now
@@ -132,8 +127,6 @@ class Board:
         if self.kind.off_outside_operational and state != OPERATIONAL:
             self._drive(0, "NMT")
 
-    # --- time
-
     def step(self, now: float) -> None:
         """Sends what is due, and looks for lost heartbeats."""
         self._now = now
@@ -175,8 +168,6 @@ class Board:
         cob_id = self.entries.number(0x1014)
         if self.state != STOPPED and not cob_id & INVALID:
             self._send(cob_id & 0x7FF, struct.pack("<HB5s", code, self.register, bytes([more])))
-
-    # --- frames
 
     def receive(self, cob_id: int, data: bytes, now: float) -> None:
         self._now = now
@@ -242,8 +233,6 @@ class Board:
             if always or (enabled and before != data):
                 self._sent[k] = data
                 self._send(cob_id & 0x7FF, data)
-
-    # --- outputs
 
     def _stored(self, index: int, sub: int) -> None:
         if index == 0x6200 and self.state == OPERATIONAL:

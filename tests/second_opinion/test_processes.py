@@ -33,8 +33,6 @@ ON_BOARD = 12  # actuators
 
 
 class Boards:
-    """Boards on a bus of python-can, in one thread."""
-
     def __init__(self, bus: can.BusABC, kind: Kind) -> None:
         self.changes: list[Change] = []
         self._bus, self._ended = bus, threading.Event()
@@ -68,7 +66,6 @@ class Boards:
 
 
 def write_arm(folder: Path, bus: dict[str, Any], kind: Kind) -> Path:
-    """Writes the paper's arm with four of these boards."""
     document = arms.planar()
     named = {**bus, "interface": bus["interface"].replace("emulated", "virtual")}
     document["buses"] = [{"name": "can0", **named}]

@@ -105,8 +105,6 @@ class World:
         self._frames = 0
         self.boards = {node: Board(node, kind, self._from_board, self._changed) for node in NODES}
 
-    # --- the executor's process
-
     def start(self, on_loss: str | None = None) -> None:
         """Starts an executor; nothing of an earlier one remains but the switch journal."""
         if on_loss is not None:
@@ -127,8 +125,6 @@ class World:
         core, self.core = self.core, None
         self.go(seconds)
         self.core = core
-
-    # --- time
 
     def go(self, seconds: float) -> None:
         for k in range(round(seconds / STEP)):
@@ -152,8 +148,6 @@ class World:
         self.until("ready")
         self.go(0.5)
         return self
-
-    # --- events
 
     def _poll(self) -> None:
         while events := self.wire.poll():
@@ -214,8 +208,6 @@ class World:
         assert self.core is not None
         return self.core.modes.reason
 
-    # --- the bus
-
     def sent(self, cob_id: int, data: bytes) -> None:
         for board in self.boards.values():
             board.receive(cob_id, data, self.now)
@@ -251,11 +243,8 @@ class World:
         if not self.cable.off:
             self.cable.waiting.append(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
 
-    # --- the pins
-
     @property
     def pins(self) -> int:
-        """The actuators that are driven to extend, as a mask."""
         return sum((board.pins >> FIRST & 7) << 3 * k for k, board in enumerate(self.boards.values()))
 
     def _changed(self, change: Change) -> None:

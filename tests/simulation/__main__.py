@@ -1,7 +1,7 @@
 """Runs worlds on a simulated clock: `python -m tests.simulation --seed N --steps M`.
 
 Each seed has three worlds: one with a scripted planner before the executor, one with the whole daemon, and one with
-boards and the CANopen master alone.
+boards and the CANopen master alone. Each kind gets a third of the steps.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import logging
 import sys
 import time
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 from tests.simulation import events
@@ -37,47 +38,61 @@ def main() -> int:
         log.setLevel(logging.CRITICAL + 1)
     if options.events is not None:
         return events.main(options.events)
-    began, steps, seed = time.monotonic(), 0, options.first if options.seed is None else options.seed
+    began, told = time.monotonic(), options.seed is not None
     kinds = KINDS if options.kind is None else (options.kind,)
+    turns = Turns(kinds, options.seed if told else options.first)
     counts: Counter[str] = Counter()
     failed: list[str] = []
-    while steps < options.steps and len(failed) < MOST_FAILED:
-        left = options.steps - steps
-        most = -(-(left if options.seed is not None else min(STEPS_A_SEED * len(kinds), left)) // len(kinds))
-        for kind in kinds:
-            steps += run(seed, kind, most, options.seed is not None, counts, failed)
-        if options.seed is not None:
+    while turns.steps < options.steps and len(failed) < MOST_FAILED:
+        kind, seed = turns.next()
+        most = -(-options.steps // len(kinds)) if told else min(STEPS_A_SEED, options.steps - turns.steps)
+        turns.ran(kind, run(seed, kind, most, told, counts, failed))
+        if told and all(turns.of.values()):
             break
-        seed += 1
-    seeds = f"seed {seed}" if options.seed is not None else f"seeds {options.first} to {seed - 1}"
-    print(f"{steps} steps, {seeds}, {time.monotonic() - began:.0f} s")
+    seeds = f"seed {options.seed}" if told else f"seeds {turns.seeds()}"
+    print(f"{turns.steps} steps, {seeds}, {time.monotonic() - began:.0f} s")
     for name, count in sorted(counts.items()):
         print(f"  {name}: {count}")
     print(f"failed seeds: {failed}" if failed else "no invariant was violated")
     return bool(failed)
 
 
-def world_of(seed: int, kind: str) -> World | BoardWorld:
-    """Returns a world.
+class Turns:
+    """Which world runs next: that of the kind with the fewest steps so far, with its next seed.
+
+    Attributes:
+        of: number of steps of each kind.
 
     Args:
-        seed: of all random numbers.
-        kind: one of `KINDS`.
+        first: seed of the first world of each kind.
     """
+
+    def __init__(self, kinds: Sequence[str], first: int) -> None:
+        self.of = dict.fromkeys(kinds, 0)
+        self._first, self._seeds = first, dict.fromkeys(kinds, first)
+
+    @property
+    def steps(self) -> int:
+        return sum(self.of.values())
+
+    def next(self) -> tuple[str, int]:
+        kind = min(self.of, key=self.of.__getitem__)
+        return kind, self._seeds[kind]
+
+    def ran(self, kind: str, steps: int) -> None:
+        self.of[kind] += steps
+        self._seeds[kind] += 1
+
+    def seeds(self) -> str:
+        return ", ".join(f"{self._first} to {seed - 1} ({kind})" for kind, seed in self._seeds.items())
+
+
+def world_of(seed: int, kind: str) -> World | BoardWorld:
     return BoardWorld(seed) if kind == "boards" else World(seed, whole=kind == "whole")
 
 
 def run(seed: int, kind: str, most: int, told: bool, counts: Counter[str], failed: list[str]) -> int:
-    """Runs one world; returns the number of its steps.
-
-    Args:
-        seed: of the world.
-        kind: one of `KINDS`.
-        most: number of steps.
-        told: whether to print all events and raise the exception if it fails.
-        counts: counts what happened.
-        failed: takes the name of the world if it fails.
-    """
+    """Runs one world; returns the number of its steps."""
     world, name = world_of(seed, kind), f"{seed} {kind}"
     try:
         world.run(most)

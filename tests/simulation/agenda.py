@@ -30,7 +30,6 @@ class Agenda:
         heapq.heappush(self._entries, (max(time, self.now), self._number, happen))
 
     def clear(self) -> None:
-        """Forgets all future events."""
         self._entries.clear()
 
     def run(self, seconds: float) -> None:
@@ -49,7 +48,6 @@ class Agenda:
         return self.now - begun
 
     def step(self) -> None:
-        """Runs the next event."""
         self.now, _, happen = heapq.heappop(self._entries)
         self.steps += 1
         happen()

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 SHOWN = 0.1  # [s] until a warning is told, by the next snapshot
 THREE_READS = 3.0  # [s] until outputs were read three times: each about a second after the one before
 ASKED = 0.3  # [s] until the boards of a late actuator were asked
-COMMANDED = 0.8  # [s] until a frame that cannot be sent is told, behind a rest time
 OBJECTS = 60  # of one board that are read in turn, at most
 SLOWEST = 7.0  # [s], longest time of a turn through all objects that is worth waiting for
 STORM = 25  # emergencies at once
@@ -31,18 +30,10 @@ Made = tuple[Callable[[], object], Callable[[], object], Expected]
 
 
 class BoardFaults:
-    """Draws faults of boards.
-
-    Args:
-        world: with a scripted planner.
-        random: draws.
-    """
-
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
 
     def draw(self) -> dict[str, Made]:
-        """Returns faults with their causes and mends."""
         world = self._world
         name = self._random.choice(list(world.boards.simulated.names))
         board = world.boards.simulated.board(name)
@@ -121,7 +112,6 @@ class BoardFaults:
         return made
 
     def _of_switch(self) -> dict[str, Made]:
-        """Returns faults of a board whose output is switched."""
         world, random, planner = self._world, self._random, self._world.planner
         assert isinstance(planner, ScriptedPlanner)
         account, wiring = world.judge.account, world.arm.wiring

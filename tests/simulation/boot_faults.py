@@ -58,12 +58,7 @@ class Refusal(NamedTuple):
 
 
 class BootFaults:
-    """Changes boards while the executor is dead, and judges its next boot.
-
-    Args:
-        world: with a scripted planner.
-        random: draws.
-    """
+    """Changes boards while the executor is dead, and judges its next boot."""
 
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
@@ -160,7 +155,6 @@ class BootFaults:
         self._world.boards.hear_tool(bus, Frame(cia301.NMT, bytes([command, int(node)])))
 
     def _spoil(self, name: str, board: Any) -> Refusal:
-        """Gives a board a reason for which it is refused."""
         objects, random, world = board.objects, self._random, self._world
         (outputs, inputs) = world.judge.objects.used(name)
         sub = next(k + 1 for k in range(64) if (outputs or inputs) >> 8 * k & 0xFF)

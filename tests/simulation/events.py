@@ -33,7 +33,6 @@ class Difference(NamedTuple):
     actions: list[Any] | str
 
     def words(self) -> str:
-        """Returns the difference for a person."""
         lines = [f"event {self.number} at {self.entry.now:.6f} s: {self.entry.event}"]
         recorded = self.entry.actions
         if isinstance(self.actions, str):
@@ -51,10 +50,8 @@ class Replayed(NamedTuple):
     """The result of a replay.
 
     Attributes:
-        count: number of replayed events.
         skipped: number of events before the first checkpoint, which cannot be replayed.
         difference: the first one; None if all actions were reproduced.
-        core: after the last event.
     """
 
     count: int

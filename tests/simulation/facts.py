@@ -44,5 +44,4 @@ class Step:
 
     @property
     def empty(self) -> bool:
-        """Whether nothing has happened."""
         return not (self.frames or self.switches or self.energised or self.errors)

@@ -16,7 +16,7 @@ from tests.simulation.executor.process import LOOP_FAILS
 from tests.simulation.judge.expected import Expected
 from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.pulse_faults import PulseFaults
-from tests.simulation.single_fault import ASKED, AT_ONCE, NO_FAULT, READ_BACK, Fault, codes, nothing
+from tests.simulation.single_fault import ASKED, AT_ONCE, NO_FAULT, READ_AT_ONCE, READ_BACK, Fault, codes, nothing
 
 if TYPE_CHECKING:
     from tests.simulation.buses.bus_model import BusModel
@@ -31,21 +31,15 @@ WAYS = {"clear": "answers", "touched": "finds an obstacle", "silent": "is silent
 
 
 class FaultKinds:
-    """Draws a fault for the arm as it stands.
-
-    Args:
-        world: with a scripted planner.
-        random: draws.
-    """
+    """Draws a fault for the arm as it stands."""
 
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
         self._boards, self._pulses = BoardFaults(world, random), PulseFaults(world, random)
 
     def draw(self) -> tuple[str, Fault]:
-        """Returns the name of a fault, and the fault."""
         makers = [self._of_bus, self._of_board, self._of_frames, self._of_actuator, self._of_motion, self._of_executor]
-        makers += [self._of_running_boards] * 3 + [self._of_motion] * 2 + [self._pulses.draw] * 2
+        makers += [self._of_running_boards] * 2 + [self._of_motion] * 2 + [self._pulses.draw] * 20
         while True:
             made = self._random.choice(makers)()
             if made:
@@ -94,7 +88,9 @@ class FaultKinds:
 
     def _of_board(self) -> dict[str, Fault]:
         timing, boards = self._world.arm.timing, self._world.boards
-        board = self._random.choice(list(boards.simulated.names))
+        names = list(boards.simulated.names)
+        paired = [name for name in names if boards.names.get(name, 0) & self._world.judge.arm.paired]
+        board = self._random.choice(paired or names if self._random.random() < 0.5 else names)
         silent = 1.2 * timing.heartbeat_timeout + timing.heartbeat + AT_ONCE
         lost = Expected(codes("board-lost"), (board,), silent, also=codes("interlock"), cleared=True)
         cut = lost._replace(also=codes("interlock", "board-rebooted"), cleared=False)
@@ -228,7 +224,9 @@ class FaultKinds:
             made["TPDO is lost"] = Fault(lose_tpdo, nothing, NO_FAULT)
         if channel.pulse is None and not world.judge.proofs.forgone >> k & 1:
             also = codes("stuck", "not-switched", "unexpected-motion")
-            unheard = Expected(also, (label, board), READ_BACK + late, also=also)
+            at_once = READ_AT_ONCE + world.arm.rest
+            within = READ_BACK + late if world.judge.arm.sensed >> k & 1 else at_once
+            unheard = Expected(also, (label, board), within, also=also)
             made["a board loses a SYNC"] = Fault(lose_sync, nothing, unheard)
         return made
 

@@ -16,7 +16,7 @@ from hyperbit.controller.executor.core.events import (
 from hyperbit.controller.host.process import Quit
 from hyperbit.controller.program import Counts, Goodbye, Hello, Up, Welcome
 from hyperbit.drivers.canopen.wire.cia301 import Frame
-from hyperbit.drivers.canopen.wire.events import FrameEchoed, FrameReceived
+from hyperbit.drivers.canopen.wire.events import FrameEchoed, FrameReceived, SendFailed
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import Witness
 from tests.simulation.judge.clients import Client
@@ -24,13 +24,7 @@ from tests.simulation.judge.judge import Judge
 
 
 class Feed(Witness):
-    """Translates events and actions of the executor into plain facts.
-
-    Args:
-        judge: takes the facts.
-        agenda: time.
-        raised: takes the counts of the planner's ledger.
-    """
+    """Translates events and actions of the executor into plain facts."""
 
     def __init__(self, judge: Judge, agenda: Agenda, raised: Callable[[Sequence[int]], None]) -> None:
         self._judge, self._agenda, self._raised = judge, agenda, raised
@@ -39,24 +33,20 @@ class Feed(Witness):
         self._greeted: tuple[ClientId, Hello] | None = None
 
     def started(self) -> None:
-        """Tells the start of a process."""
         self._instances += 1
         self._judge.at(self._agenda.now)
         self._judge.begins(self._instances)
         self._planner = self._greeted = None
 
     def killed(self) -> None:
-        """Tells the end of a process."""
         self._judge.at(self._agenda.now)
         self._judge.dies()
         self._planner = None
 
     def hurries(self) -> None:
-        """Tells that a process is asked to end at once."""
         self._judge.endings.hurries()
 
     def told(self, event: Event) -> None:
-        """Tells an event."""
         judge = self._judge
         judge.at(self._agenda.now)
         match event:
@@ -79,6 +69,8 @@ class Feed(Witness):
                 judge.counts.hears(event.bus, event.frame.id)
                 judge.proofs.hears(event.bus, event.frame.id, event.frame.data)
                 judge.snapshots.hears(event.bus, event.frame.id, event.frame.data)
+            case SendFailed(bus, frame, _):
+                judge.fails(bus, frame.id)
             case Health(loop, dropped):
                 judge.other_event()
                 judge.counts.process(loop, dropped)
@@ -96,22 +88,18 @@ class Feed(Witness):
         return self._judge.hands_out(bus, frame.id, frame.data)
 
     def logs(self, level: int, text: str) -> None:
-        """Tells a line of the log."""
         self._judge.log.logs(level, text)
         self._judge.endings.logs(text)
         if text.startswith("starting:"):
             self._judge.pulses.boots()
 
     def notifies(self, text: str) -> None:
-        """Tells a message for systemd."""
         self._judge.log.notifies(text)
 
     def tells(self, client: ClientId, message: Up) -> None:
-        """Tells who gets a message."""
         self._judge.clients.tells(client.number, message)
 
     def says(self, message: Up) -> None:
-        """Tells a message to a client."""
         if isinstance(message, Welcome) and self._greeted is not None:
             client, hello = self._greeted
             if hello.role == "planner":
@@ -131,7 +119,6 @@ class Witnesses(Witness):
         self._witnesses = list(witnesses)
 
     def add(self, witness: Witness) -> None:
-        """Adds a witness."""
         self._witnesses.append(witness)
 
     def started(self) -> None:

@@ -70,30 +70,22 @@ def interface_judge(
 
 
 class InterfaceFeed(Witness):
-    """Translates what the executor takes and tells into facts for the judge of what clients see.
-
-    Args:
-        judge: takes the facts.
-        agenda: time.
-    """
+    """Translates what the executor takes and tells into facts for the judge of what clients see."""
 
     def __init__(self, judge: InterfaceJudge, agenda: Agenda) -> None:
         self._judge, self._agenda, self._instances = judge, agenda, 0
         self._operators: set[int] = set()
 
     def started(self) -> None:
-        """Tells the start of a process."""
         self._instances += 1
         self._judge.at(self._agenda.now)
         self._judge.executor_begins(self._instances)
 
     def killed(self) -> None:
-        """Tells the end of a process."""
         self._judge.at(self._agenda.now)
         self._judge.executor_ends()
 
     def told(self, event: Event) -> None:
-        """Tells an event."""
         match event:
             case FromClient(client, Hello() as hello):
                 if hello.role != "planner":
@@ -109,6 +101,5 @@ class InterfaceFeed(Witness):
                 pass
 
     def says(self, message: Up) -> None:
-        """Tells a message to a client."""
         self._judge.at(self._agenda.now)
         self._judge.executor_tells(message)

@@ -26,7 +26,7 @@ def outputs_fall_only_with_a_cause(world: World) -> None:
             excused = since < 2 * timing.heartbeat_timeout
             require(excused, f"{switch.mask:b} went off on {switch.bus} without a fault")
         elif switch.cause.startswith("frame 6"):  # the boot of a board that another program took out of operational
-            off = world.judge.account.mode in ("starting", "stopped") and not switch.mask & switch.after
+            off = world.judge.account.told in ("starting", "stopped") and not switch.mask & switch.after
             require(off, f"{switch.mask:b} switched by {switch.cause}")
         else:
             require(switch.cause in ("SYNC", "fault", FOREIGN_START), f"{switch.mask:b} switched by {switch.cause}")

@@ -9,7 +9,19 @@ from random import Random
 
 from hyperbit.controller.executor.core.events import ClientGone, ClientId, FromClient
 from hyperbit.controller.planning.link import RETRY, Connection, ExecutorLink
-from hyperbit.controller.program import VERSION, Down, Goodbye, Hello, Stop, Up, decode_down, decode_up, encode
+from hyperbit.controller.program import (
+    VERSION,
+    Diagnostics,
+    Down,
+    Goodbye,
+    Hello,
+    Snapshot,
+    Stop,
+    Up,
+    decode_down,
+    decode_up,
+    encode,
+)
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
 
@@ -20,7 +32,6 @@ class Socket(Connection):
     """The planner's end of one connection, as `ExecutorLink` uses it.
 
     Args:
-        network: to the executor.
         client: number and process of this end.
     """
 
@@ -35,11 +46,9 @@ class Socket(Connection):
 
     @property
     def ready(self) -> bool:
-        """Whether there is something to read."""
         return bool(self.arrived) or self.ended
 
     def fileno(self) -> int:
-        """Returns a number."""
         return self.client.number
 
     def recv(self, most: int) -> bytes:
@@ -55,13 +64,20 @@ class Socket(Connection):
 
         Raises:
             BrokenPipeError: the connection has ended.
+            BlockingIOError: the socket is full.
         """
         if self.ended or self.shut_down:
             raise BrokenPipeError
-        self.forth(lambda: self._network.to_executor(self.client, decode_down(data)))
+        self._network.take_place()
+        message = decode_down(data)
+        if not isinstance(message, Hello):
+            self._network.sends(message)
+        self.forth(lambda: self._network.to_executor(self.client, message))
+
+    def wait_writable(self, timeout: float) -> None:
+        """Waits in vain: no time passes in a step."""
 
     def shut(self) -> None:
-        """Ends the connection."""
         if not self.shut_down:
             self.shut_down = True
             self.arrived.clear()
@@ -93,31 +109,42 @@ class Network:
     """All connections to the executor.
 
     Attributes:
-        sent: messages of planner and operator, by kind.
-        wake: wakes the planner's process.
+        sends: takes what the planner sends, after its Hello.
         hears: takes what arrives at the planner's end; None: the end of the connection.
-
-    Args:
-        arm: name of the arm.
-        agenda: time.
-        random: for delays.
-        executor: at the other end.
     """
 
     def __init__(self, arm: str, agenda: Agenda, random: Random, executor: ExecutorProcess) -> None:
         self.sent: Counter[str] = Counter()
         self.wake: Callable[[], None] = lambda: None
+        self.sends: Callable[[Down], None] = lambda message: None
         self.hears: Callable[[Up | None], None] = lambda message: None
         self._arm, self._agenda, self._random, self._executor = arm, agenda, random, executor
         self._sockets: dict[ClientId, Socket] = {}
         self._numbers = 0
+        self._unread = random.choice([3, 20, 200])  # packets that fit into the executor's end of a socket
+        self._places: int | None = None  # packets that fit into the planner's socket; None: any number
+
+    def fill(self, places: int) -> None:
+        """Makes the planner's socket full after some packets."""
+        self._places = places
+
+    def drain(self) -> None:
+        self._places = None
+        self.wake()
+
+    def take_place(self) -> None:
+        """Takes the place of a packet in the planner's socket, or raises BlockingIOError."""
+        if self._places is not None:
+            if not self._places:
+                raise BlockingIOError
+            self._places -= 1
 
     def connect(self) -> Socket | None:
         """Returns a new connection of the planner; None if no executor listens."""
         if self._executor.core is None:
             return None
         client = self._new_client()
-        self._sockets[client] = Socket(self, client)
+        self._sockets[client], self._places = Socket(self, client), None
         return self._sockets[client]
 
     def halt(self) -> None:
@@ -132,6 +159,9 @@ class Network:
         """Sends a message of the executor; a `Goodbye` ends the connection."""
         socket = self._sockets.get(client)
         if socket is not None:
+            full = len(socket.arrived) >= self._unread
+            if full and isinstance(message, Snapshot | Diagnostics):
+                return  # the executor's server drops telemetry for a client that does not read
             socket.back(encode(message))
             if isinstance(message, Goodbye):
                 self._end(client)
@@ -142,13 +172,11 @@ class Network:
             self._end(client)
 
     def to_executor(self, client: ClientId, message: Down) -> None:
-        """Gives a packet that has arrived to the executor."""
         if client in self._sockets:
             self.sent[type(message).__name__] += 1
             self._executor.hear(client, FromClient(client, message))
 
     def gone(self, client: ClientId) -> None:
-        """Tells the executor that the planner's end was closed."""
         if self._sockets.pop(client, None) is not None:
             self._executor.hear(client, ClientGone(client))
 
@@ -167,15 +195,12 @@ class Network:
 
 
 class SimulatedLink(ExecutorLink):
-    """The planner's link over simulated sockets."""
-
-    def __init__(self, network: Network, arm: str, digest: str, clock: Callable[[], float]) -> None:
-        super().__init__(Path(), arm, digest, clock)
+    def __init__(self, network: Network, arm: str, digest: str, clock: Callable[[], float], simulated: bool) -> None:
+        super().__init__(Path(), arm, digest, clock, simulated=simulated)
         self._network = network
 
     @property
     def ready(self) -> bool:
-        """Whether there is something to read."""
         return self.pending or (isinstance(self._connection, Socket) and self._connection.ready)
 
     def connect(self, now: float) -> None:

@@ -76,15 +76,8 @@ class ScriptedPlanner:
         patient: while it is calm, it waits for faults to clear by themselves.
         snapshot: the latest snapshot; None before the first of a connection.
         results: results that it has not acknowledged.
-        connection: its connection to the executor.
         way: how it answers questions while it is calm: "clear", "touched", "silent" or "stream"; "": it answers soon.
         last_answer: the last answer to a request with a number; None before it comes.
-
-    Args:
-        arm: the arm.
-        agenda: time and events.
-        random: for its requests and their times.
-        executor: the executor's process.
     """
 
     def __init__(self, arm: ExecutedArm, agenda: Agenda, random: Random, executor: ExecutorProcess) -> None:
@@ -103,8 +96,6 @@ class ScriptedPlanner:
         self.way = ""
         agenda.after(0.0, self._live)
         agenda.after(0.0, self._act)
-
-    # --- its troubles
 
     def stall(self, seconds: float) -> None:
         """Makes it hang for a time [s], perhaps after it has planned a request and before it sends it."""
@@ -126,11 +117,9 @@ class ScriptedPlanner:
 
     @property
     def awake(self) -> bool:
-        """Whether it does not hang."""
         return self._agenda.now >= self._awake_at
 
     def be_calm(self, calm: bool) -> None:
-        """Sets `calm`."""
         self.calm, self._wanted = calm, -1
 
     def die(self) -> None:
@@ -139,11 +128,8 @@ class ScriptedPlanner:
         self.cut_off()
 
     def cut_off(self) -> None:
-        """Records that the executor has closed the connection."""
         self.connection.client = self.snapshot = self._drawn = None
         self.results.clear()
-
-    # --- what it hears
 
     def _hear(self, message: Up) -> None:
         match message:
@@ -183,10 +169,7 @@ class ScriptedPlanner:
         if patience < 1e6:
             self._agenda.after(patience, answer)
 
-    # --- what it does
-
     def _live(self) -> None:
-        """Sends Alive, or connects."""
         if self.awake:
             if self.connection.client is None:
                 self._answered = self._request
@@ -221,11 +204,11 @@ class ScriptedPlanner:
         self._wanted = self._number
         return self._number
 
-    def ask_to_switch(self, actuator: int, times: int = 1, pause: float = 0.0) -> None:
+    def ask_to_switch(self, actuator: int, times: int = 1, pause: float = 0.0, strict: bool = False) -> None:
         """Sends a program that switches one actuator, perhaps to and fro with pauses [s]."""
         assert self.snapshot is not None
         self._number += 1
-        self._drawn = self._author.switch(self.snapshot, self._number, actuator, times, pause)
+        self._drawn = self._author.switch(self.snapshot, self._number, actuator, times, pause, strict)
         self.connection.send(self._drawn.program)
         self._wanted = self._number
 
@@ -235,6 +218,11 @@ class ScriptedPlanner:
         if client is not None:
             message = Stop(INTERRUPTS) if self._random.random() < 0.5 else Cancel(INTERRUPTS, None, "interrupted")
             self._executor.hear(client, FromClient(client, message))
+
+    def cancel_now(self) -> None:
+        """Sends a cancel that arrives at once."""
+        if (client := self.connection.client) is not None:
+            self._executor.hear(client, FromClient(client, Cancel(INTERRUPTS, None, "interrupted")))
 
     def halt(self) -> None:
         """Makes an operator stop the arm, if an executor runs."""
@@ -270,7 +258,6 @@ class ScriptedPlanner:
         self.connection.send(Lock(self._next(), actuator, state))
 
     def ask_to_reset(self) -> None:
-        """Sends a reset."""
         assert self.snapshot is not None
         self.last_answer = None
         self.connection.send(Reset(self._next(), self.snapshot.epoch))

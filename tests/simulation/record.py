@@ -24,7 +24,6 @@ class Record(Witness):
     """The history of a world.
 
     Attributes:
-        step: facts of the present step.
         programs: accepted programs, by instance of the executor and number.
         results: number of the result of each program.
         synced: number of switches of each actuator by SYNCs.
@@ -59,21 +58,16 @@ class Record(Witness):
         self._agenda, self._note = agenda, note
         self._message: object = None
 
-    # --- the executor
-
     def started(self) -> None:
-        """Records the start of an executor."""
         self._note("the executor starts")
         self.instance += 1
         self._mode = "starting"
 
     def killed(self) -> None:
-        """Records the end of an executor."""
         self._note("the executor is dead")
         self.counts["executors that ended"] += 1
 
     def told(self, event: Event) -> None:
-        """Records an event that the executor takes."""
         self._note(("executor takes", event))
         self._message = event.message if isinstance(event, FromClient) else None
 
@@ -84,7 +78,6 @@ class Record(Witness):
                 self.synced[k] += max(count - known, 0)
 
     def says(self, message: Up) -> None:
-        """Records a message to a client."""
         self._note(("executor says", message))
         self.counts[type(message).__name__] += 1
         match message:
@@ -107,16 +100,12 @@ class Record(Witness):
                 self._mode = message.mode
 
     def logs(self, level: int, text: str) -> None:
-        """Records a log line of the executor."""
         self._note(("executor logs", text))
         if text.startswith("internal error") and LOOP_FAILS not in text:
             self.step.errors.append(text)
 
     def sends(self, bus: str, frame: Frame) -> None:
-        """Records a frame that the executor hands out."""
         self.step.frames.append((bus, frame))
-
-    # --- the boards
 
     def arrives(self, bus: str, frame: Frame, missing: int) -> None:
         """Records a sent frame of the executor; the boards of a mask of actuators do not receive it."""
@@ -130,7 +119,6 @@ class Record(Witness):
                 self.slack[k] += self.suspect >> k & 1
 
     def switch(self, switch: Switch) -> None:
-        """Records changed outputs."""
         self._note((f"{switch.mask:b} switched to {switch.after:b}", switch.cause))
         self.step.switches.append(switch)
         by_sync, commit = switch.cause == "SYNC", switch.commit
@@ -144,7 +132,6 @@ class Record(Witness):
         self.counts["switches"] += switch.mask.bit_count() * by_sync
 
     def energise(self, coils: Energised) -> None:
-        """Records coils that came on or went off."""
         if coils.came:
             self.step.energised.append(coils)
         if coils.again:  # the end-stop of one that did not follow its coil told the other state
@@ -152,7 +139,6 @@ class Record(Witness):
                 self.slack[k] += coils.again >> k & 1
 
     def doors(self, are_open: bool) -> None:
-        """Records whether an interlock is open."""
         if not are_open and self.open_since < math.inf:
             self._closed_at = self._agenda.now
         self.open_since = min(self.open_since, self._agenda.now) if are_open else math.inf

@@ -9,6 +9,7 @@ from tests.simulation.judge.expected import Expected
 
 AT_ONCE = 0.05  # [s] until a frame on a slow bus, or a change of a bus, is told
 READ_BACK = 2.0  # [s] until outputs that do not follow are told: about a second, and eight reads
+READ_AT_ONCE = 0.75  # [s], likewise if no end-stop tells: eight reads
 ASKED = 0.3  # [s] until the boards of a late actuator were asked
 
 
@@ -26,7 +27,6 @@ class Fault(NamedTuple):
 
 
 def codes(*names: str) -> frozenset[str]:
-    """Returns codes of faults."""
     return frozenset(names)
 
 

@@ -12,6 +12,7 @@ from tests.simulation.judge.expected import judge_locks, told
 from tests.simulation.judge.verdict import require
 from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.single_fault import Fault
+from tests.simulation.volleys import Volleys
 
 if TYPE_CHECKING:
     from tests.simulation.judge.expected import Expected
@@ -22,21 +23,21 @@ SUPERVISED = 0.6  # [s] until the last motion is supervised, and all outputs are
 KEPT = 1.2  # [s] for which a fault must wait for its reset; faults that clear are tried once a second
 LONG = 2.2  # [s] for which a fault may last, so that two attempts to leave it fail
 ANSWERED = 0.1  # [s] until a reset is answered
+HOMED = 0.7  # share of the faults before which a program homes the arm
+VOLLEYS = 0.45  # share of the volleys, where neither executor nor planner ends
+OWED = 4.2  # [s] for which lost answers may still come, and reads take so long that pulses may be over before
 RESTARTED = 15.0  # [s] until an executor that was ended has contracted the arm, and the next one is ready
 
 
 class SingleFaults:
-    """Draws single faults, and judges what the executor tells of them.
-
-    Args:
-        world: with a scripted planner.
-        random: draws.
-    """
+    """Draws single faults, and judges what the executor tells of them."""
 
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
         self._kinds, self._boots = FaultKinds(world, random), BootFaults(world, random)
-        self._often = 0.35 if world.arm.contract_on_stop else 0.2 if world.kinds.pulse else 0.1  # the executor ends
+        self._volleys = Volleys(world, random)
+        self._often = 0.3 if world.arm.contract_on_stop else 0.1  # the executor ends
+        self._rare = 0.5 if world.kinds.pulse else 1.0  # so that there is time for faults of pulses
 
     def happen(self) -> None:
         """Causes one fault, mends it, and brings the arm back.
@@ -49,24 +50,39 @@ class SingleFaults:
         planner.be_calm(True)
         planner.patient = True
         self._rest()
+        if world.judge.account.homing and self._random.random() < HOMED:
+            self._home(planner)
         drawn = self._random.random()
         if drawn < self._often:
             self._end_executor(planner)
-        elif drawn < self._often + 0.1:
+        elif drawn < self._often + 0.1 * self._rare:
             self._lose_planner(planner)
-        elif drawn < self._often + 0.2:
+        elif drawn < self._often + 0.15 * self._rare:
             self._interrupt(planner)
-        elif drawn < self._often + 0.3:
+        elif drawn < self._often + 0.2 * self._rare:
             self._boots.happen()
+        elif self._random.random() < VOLLEYS:
+            self._volleys.happen()
         else:
             world.judge.disturb()
             name, fault = self._kinds.draw()
             world.trouble.made[f"only: {name}"] += 1
             world.note(f"only fault: {name}")
             self._judge(name, fault, planner)
+            if any(not world.judge.arm.sensed >> k & 1 for k in world.kinds.pulse):
+                world.pass_time(OWED)
         planner.patient = False
         if not world.record.suspect and not world.judge.account.clear:
             world.judge.quiet_from(world.agenda.now)
+
+    def _home(self, planner: ScriptedPlanner) -> None:
+        """Homes all actuators of unknown state by a program that switches one actuator."""
+        world = self._world
+        free = bits_of(world.judge.arm.everything & ~world.judge.account.locked)
+        if free:
+            planner.ask_to_switch(self._random.choice(free))
+            world.pass_time(ANSWERED)
+            self._rest()
 
     def _rest(self) -> None:
         world = self._world
@@ -117,7 +133,7 @@ class SingleFaults:
             planner.ask_for_motion()
         bus.at_next_rpdo(lambda: world.agenda.after(0.0, world.executor.kill))
         world.pass_time(self._random.uniform(0.1, 0.4))
-        bus.at_next_rpdo(lambda: None)
+        bus.await_no_rpdo()
 
     def _lock(self, planner: ScriptedPlanner) -> None:
         """Locks an actuator where it is, if an end-stop tells its state; the executor that ends has it locked."""

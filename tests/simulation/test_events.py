@@ -138,9 +138,6 @@ def test_opaque_values_are_left_out_and_constant_ones_are_made_from_the_arms_fil
         load(tmp_path / next(path.name for path in tmp_path.iterdir() if path.name.endswith("request")))
 
 
-# --- files that were changed by somebody
-
-
 class Called:
     """A pickle of it calls a function."""
 
@@ -196,9 +193,6 @@ def test_the_beginning_cannot_name_another_folder(beginning: str, tmp_path: Path
     (link := tmp_path / "link").symlink_to(path)
     with pytest.raises(OSError, match="symbolic"):
         save([link], tmp_path / "files", "request")
-
-
-# --- the keeper
 
 
 def test_only_the_newest_files_are_kept(recorder: FlightRecorder, tmp_path: Path) -> None:

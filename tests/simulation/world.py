@@ -47,18 +47,13 @@ class World:
     """One arm, its executor, its boards and its clients.
 
     Attributes:
-        agenda: time and events.
-        record: history of the world.
-        trouble: causes faults.
         kinds: outputs and end-stops of the actuators.
         planner: the scripted planner, or the daemon.
         daemon: the whole daemon but its executor; None in a world with a scripted planner.
         let_go: mask of the actuators with two outputs that their boards contract without the executor.
 
     Args:
-        seed: seed of all random numbers.
         whole: whether the planner's core, its shell and clients are in the world; False: a scripted planner.
-        remembered: number of last events for the story.
     """
 
     def __init__(self, seed: int, whole: bool = False, remembered: int = 300) -> None:
@@ -87,7 +82,7 @@ class World:
         witness = Witnesses(
             record, Feed(judge, agenda, lambda counts: record.raised(counts, self.executor.journal.counts))
         )
-        self.habits = habits = Habits(drawn("habits"), simulated=planned is None)
+        self.habits = habits = Habits(drawn("habits"))
         self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, witness, habits)
         judge.clients.playable = habits.simulation
         judge.log.simulated, judge.log.watchdog = habits.simulation is not None, habits.watchdog
@@ -103,7 +98,9 @@ class World:
             self.strangers = Strangers(*parts, lambda: judge.silence.connected)
         else:
             of = interface_judge(judge, arm, planned, record)
-            self.planner = self.daemon = Daemon(arm, planned, agenda, drawn, self.executor, self.note, of)
+            self.planner = self.daemon = Daemon(
+                arm, planned, agenda, drawn, self.executor, self.note, of, habits.simulation
+            )
             witness.add(InterfaceFeed(self.daemon.judge, agenda))
         cut_off = self.planner.cut_off if isinstance(self.planner, ScriptedPlanner) else self.planner.network.cut_off
         self.executor.connect(self.planner.connection.deliver, cut_off)
@@ -119,14 +116,8 @@ class World:
         self._memory = Memory()
         self.executor.start()
 
-    # --- it runs
-
     def run(self, steps: int) -> None:
-        """Runs `steps` steps, in turns with requests but no trouble, with both, and with neither.
-
-        Raises:
-            Violation: an invariant does not hold.
-        """
+        """Runs `steps` steps, in turns with requests but no trouble, with both, and with neither."""
         end = self.agenda.steps + steps
         self.calm()
         while True:
@@ -146,7 +137,6 @@ class World:
                 break
 
     def pass_time(self, seconds: float) -> None:
-        """Runs all steps of a time [s]."""
         until = self.agenda.now + seconds
         while self.agenda.now < until:
             self.one_step()
@@ -193,11 +183,7 @@ class World:
         return self.arm.timing.boot_timeout + PATIENCE
 
     def wait(self, holds: Callable[[], bool], text: str, patience: float) -> None:
-        """Runs steps until something holds.
-
-        Raises:
-            Violation: it does not hold after `patience` seconds.
-        """
+        """Runs steps until something holds."""
         until = self.agenda.now + patience
         while not holds():
             snapshot = self.planner.snapshot
@@ -229,10 +215,7 @@ class World:
         self._memory.judge(record.instance, self.executor.core, len(self.judge.programs.unacknowledged))
 
     def drawn_half(self) -> bool:
-        """Returns True half of the time."""
         return self._random.random() < 0.5
-
-    # --- its parts
 
     def _look(self, name: str) -> Look:
         board = self.boards.simulated.board(name)
@@ -256,8 +239,6 @@ class World:
         if self.daemon is not None:
             self.daemon.mend()
 
-    # --- for the invariants, and for a person
-
     def reaches(self, actuator: int) -> bool:
         """Returns whether frames of the executor reach the board of an actuator, and take effect there."""
         channel = self.arm.wiring.channels[actuator]
@@ -277,17 +258,14 @@ class World:
         return before != self._counts
 
     def note(self, event: object) -> None:
-        """Stores an event for the story."""
         self.events.append((self.agenda.now, event))
 
     def counts(self) -> Counter[str]:
-        """Returns how often each thing happened."""
         counts = self.record.counts + self.trouble.made
         counts += Counter({f"sent {word}": count for word, count in self.planner.connection.sent.items()})
         return counts if self.daemon is None else counts + self.daemon.counts
 
     def story(self) -> str:
-        """Returns the last events, one a line."""
         return "\n".join(f"{time - 1000:.6f} {event}" for time, event in self.events)
 
 

@@ -35,8 +35,6 @@ class Squares(NamedTuple):
 
 
 class Lengths(NamedTuple):
-    """A study of the lengths of what a share has."""
-
     def prepare(self) -> Run:
         return partial(map, len)
 
@@ -86,7 +84,6 @@ def run_plan(hyperbit):
 
 
 def version_but(package: str, found: Any, asked: str) -> Any:
-    """Stands for importlib.metadata.version on a worker."""
     if asked == package:
         if isinstance(found, Exception):
             raise found

@@ -33,8 +33,6 @@ def boast(arm):
 
 @pytest.fixture(autouse=True)
 def shared(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands with two workers use these."""
-
     def workers(count: int) -> nullcontext[Client]:
         assert count == 2
         return nullcontext(client)
@@ -44,7 +42,6 @@ def shared(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def samples(tmp_path):
-    """Arguments of `calibrate`: an arm's file, and measured tips of an arm with errors."""
     arm, rng = arm_of(tmp_path, [{**TRUSSES[0], "count": 3}]), np.random.default_rng(3)
     found = measured(arm, erring(arm, rng, each=True), rng, 40)
     rows = [

@@ -64,7 +64,6 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 
 @pytest.fixture(scope="session")
 def kind(request: pytest.FixtureRequest) -> str:
-    """The kind of bus."""
     if request.param == "socketcan" and (reason := vcan.missing()):
         (pytest.fail if request.config.getoption("bus") else pytest.skip)(reason)
     return str(request.param)
@@ -72,7 +71,6 @@ def kind(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="session")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of densities."""
     return tmp_path_factory.mktemp("cache") / "hyperbit"
 
 
@@ -85,8 +83,6 @@ def nurseries(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator
 
 
 class Nurseries(dict[str, Nursery]):
-    """Nurseries by kind, each started at its first use."""
-
     def __init__(self, cache: Path, folder: Path) -> None:
         self._cache, self._folder = cache, folder
 
@@ -110,7 +106,6 @@ class Shared:
         self.system: System | None = None
 
     def take(self, wanted: str, make: Callable[[], System]) -> System:
-        """Returns the requested arm, in order."""
         if self.wanted != wanted or self.system is None or not self._in_order(self.system):
             self.drop()
             self.wanted, self.system = wanted, make()
@@ -164,13 +159,6 @@ def started(system: System) -> System:
 
 
 @pytest.fixture
-def stack() -> Iterator[ExitStack]:
-    """Ends what the test has started."""
-    with ExitStack() as stack:
-        yield stack
-
-
-@pytest.fixture
 def arm(system: System) -> Arm:
     return system.arm
 
@@ -193,7 +181,6 @@ def listener(system: System) -> Iterator[can.BusABC]:
 
 @pytest.fixture
 def motions(system: System, listener: can.BusABC) -> Motions:
-    """The motion from now on."""
     motions = Motions(system.wiring, listener, system.interface.flush, system.drives())
     motions.begin(system.boards)
     return motions

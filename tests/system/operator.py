@@ -10,11 +10,7 @@ from tests.waiting import eventually
 
 
 class Operator:
-    """A client in the role "operator" that remembers its messages.
-
-    Attributes:
-        heard: all messages, oldest first.
-    """
+    """A client in the role "operator" that remembers its messages."""
 
     def __init__(self, path: Path) -> None:
         self.heard: list[Up] = []
@@ -33,18 +29,15 @@ class Operator:
         self._socket.close()
 
     def snapshot(self) -> Snapshot:
-        """Waits for the next snapshot."""
         before = len(self.heard)
         return eventually(lambda: next((it for it in self.heard[before:] if isinstance(it, Snapshot)), None))
 
     def wait_for(self, mode: str) -> Snapshot:
-        """Waits for a new snapshot of a mode."""
         while (snapshot := self.snapshot()).mode != mode:
             pass
         return snapshot
 
     def counts(self) -> list[int]:
-        """Switches of each actuator in the executor's journal."""
         before = len(self.heard)
         found = eventually(lambda: next((it for it in self.heard[before:] if isinstance(it, Diagnostics)), None))
         return list(found.counts)

@@ -13,11 +13,11 @@ import zenoh
 from hyperbit.controller.network import session
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.planning.ledger_file import read
+from tests.endpoints import free_endpoint
 from tests.system.stack import arms
 from tests.system.stack.observer import Observer
 from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT
 from tests.system.stack.processes import ROOT
-from tests.system.stack.system import free_port
 from tests.waiting import PATIENCE, eventually
 
 pytestmark = pytest.mark.buses("virtual")  # the boards are in the executor
@@ -34,7 +34,6 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def process(folder: Path, cache: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """The command in a process of its own."""
     command = [sys.executable, "-c", RUN, str(folder / "arm.yaml"), "--simulate", "--listen", endpoint(folder)]
     environment = {
         **os.environ, "NOTIFY_SOCKET": "", "XDG_CACHE_HOME": str(cache.parent), "STATE_DIRECTORY": str(folder),
@@ -51,14 +50,12 @@ def endpoint(folder: Path) -> str:
     """The endpoint of a folder's daemon; the same at each call."""
     file = folder / "endpoint"
     if not file.exists():
-        file.write_text(f"tcp/127.0.0.1:{free_port()}")
+        file.write_text(free_endpoint())
     return file.read_text()
 
 
 @pytest.fixture
 def client(process: subprocess.Popen[bytes], folder: Path) -> Iterator[Observer]:
-    """A client of the daemon, once it listens."""
-
     def connect() -> zenoh.Session | None:
         assert process.poll() is None, (folder / "log").read_text()
         try:

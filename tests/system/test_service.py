@@ -16,9 +16,9 @@ import zenoh
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.gateway import daemon
 from hyperbit.controller.gateway.claim import AlreadyRunning
+from hyperbit.controller.host.keeper import FileInUse
 from hyperbit.controller.network.client import Client, Message, Unanswered
 from hyperbit.controller.network.session import configuration
-from hyperbit.controller.planning.ledger import LedgerInUse
 from tests.system.stack.motions import Motions
 from tests.system.stack.observer import Observer
 from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT
@@ -93,7 +93,7 @@ def test_a_wildcard_may_stop_and_ask_and_nothing_else(client: Observer, system: 
 
 def test_a_second_daemon_of_the_arm_does_not_start(client: Observer, system: System) -> None:
     """Neither on the same ledger, nor in the same network."""
-    with pytest.raises(LedgerInUse), system.serving(configuration("peer"), system.ledger):
+    with pytest.raises(FileInUse), system.serving(configuration("peer"), system.ledger):
         pass
     elsewhere = system.folder / "other.sqlite"
     with pytest.raises(AlreadyRunning, match=f"process {os.getpid()} on "), system.serving(system.clients(), elsewhere):

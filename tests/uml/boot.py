@@ -27,7 +27,6 @@ LONGEST = 7200.0  # [s]
 
 
 def boot(number: int) -> subprocess.Popen[bytes]:
-    """Starts a machine in a process group of its own."""
     memory = Path("/dev/shm")
     if not memory.is_dir() or shutil.disk_usage(memory).free < MEMORY * MACHINES << 30:
         memory = FOLDER

@@ -17,11 +17,6 @@ NEEDED = {"apt-get": "apt", "dpkg-deb": "dpkg", "ip": "iproute2", "tc": "iproute
 
 
 def prepare() -> None:
-    """Makes what is missing or out of date.
-
-    Raises:
-        Missing: this computer lacks something.
-    """
     needed = NEEDED | ({"gcc": "gcc libc6-dev"} if amx() else {})
     if lacking := {package for tool, package in needed.items() if not shutil.which(tool, path=search_path())}:
         raise Missing(f"apt-get install {' '.join(sorted(lacking))}")

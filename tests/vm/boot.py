@@ -31,7 +31,6 @@ SYSTEMD = "systemd.show_status=no systemd.unit=hyperbit-tests.service systemd.ma
 
 
 def share(tag: str, path: str) -> list[str]:
-    """Options that let the guest read a folder."""
     folder = f"local,id={tag},path={path},security_model=none,readonly=on,multidevs=remap"
     return ["-fsdev", folder, "-device", f"virtio-9p-pci,fsdev={tag},mount_tag={tag}"]
 

@@ -86,7 +86,6 @@ class Share:
 
 
 def circumstances() -> str:
-    """Returns the end of the services' journal and the busiest processes."""
     commands = ["journalctl --no-pager --lines 60 --unit hyperbit*", "ps -eo pcpu,time,args --sort -time --columns 120"]
     tools = [words.split() for words in commands]
     done = [subprocess.run(words, capture_output=True, text=True).stdout if which(words[0]) else "" for words in tools]
@@ -105,13 +104,11 @@ def run(processes: int, arguments: list[str], folder: Path) -> int:
 
 
 def outcomes(folder: Path) -> str:
-    """Returns how many tests of a share's folder ended how, empty if none did."""
     counts = Counter(outcome for file in folder.glob(f"*/{OUTCOMES}") for outcome in file.read_text().split())
     return ", ".join(f"{count} {outcome}" for outcome, count in sorted(counts.items()))
 
 
 def fork(arguments: list[str], share: Share) -> int:
-    """Starts pytest in a new process; returns the number of the process."""
     if child := os.fork():
         return child
     code = 70  # an internal error
@@ -122,7 +119,6 @@ def fork(arguments: list[str], share: Share) -> int:
 
 
 def run_and_tell(processes: int, arguments: list[str]) -> int:
-    """Runs tests, and prints their outcomes."""
     begun = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         code = run(processes, [*OPTIONS, *arguments], Path(folder))

@@ -45,12 +45,6 @@ def prepare(tests: Sequence[str]) -> None:
     """Makes what is missing or out of date for tests.
 
     Those in tests/vm need the installed services; the others need the project's compiled kernels.
-
-    Args:
-        tests: paths of tests.
-
-    Raises:
-        Missing: this computer lacks something.
     """
     lacking = [package for tool, package in NEEDED.items() if not shutil.which(tool, path=search_path())]
     if lacking:
@@ -79,7 +73,6 @@ def older(made: Path, sources: Iterable[Path]) -> bool:
 
 
 def installed() -> list[Path]:
-    """Returns the files that deploy/install.sh installs."""
     folders = [PROJECT / name for name in (".package", "controller", "drivers", "deploy")]
     files = [path for folder in folders for path in folder.rglob("*.*") if path.parent.name != "__pycache__"]
     return [PROJECT / "pyproject.toml", *files]
@@ -105,7 +98,6 @@ def kernel_package() -> str:
 
 
 def pack() -> None:
-    """Unpacks kernel and busybox, and packs the initramfs."""
     kernel, busybox = fetch(kernel_package()), fetch("busybox-static")
     say("packing the initramfs")
     with tempfile.TemporaryDirectory(dir=FOLDER) as name:
@@ -148,11 +140,7 @@ def in_order(found: Iterable[Path], names: Iterable[str]) -> list[Path]:
 
 
 def warm(tests: Sequence[str]) -> None:
-    """Fills the project's caches of bytecode and kernels, for any processor: the machine would compile for minutes.
-
-    Args:
-        tests: paths of the tests whose bytecode is cached, too.
-    """
+    """Fills the project's caches of bytecode and kernels, for any processor: the machine would compile for minutes."""
     say("filling the caches of compiled code")
     cache = FOLDER / "cache"
     settings = {"NUMBA_CPU_NAME": "generic", "NUMBA_CACHE_DIR": str(cache / "numba"), "XDG_CACHE_HOME": str(cache)}
@@ -163,7 +151,6 @@ def warm(tests: Sequence[str]) -> None:
 
 
 def install() -> None:
-    """Installs the services as on a robot's computer."""
     if os.geteuid() != 0:
         raise Missing("root is needed to install the services: sudo make vm-test")
     say("installing the services")

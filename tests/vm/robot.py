@@ -28,19 +28,13 @@ OPERATIONAL = 5
 
 
 def hyperbit(*words: str | Path, prefix: Sequence[str] = ()) -> str:
-    """Runs the installed command, which must succeed; returns what it prints.
-
-    Args:
-        words: arguments of `hyperbit`.
-        prefix: a command that runs it, such as `setpriv`.
-    """
+    """Runs the installed command, which must succeed; returns what it prints."""
     done = subprocess.run([*prefix, "hyperbit", *words], capture_output=True, text=True, env=ENVIRONMENT)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
 
 def ledger() -> tuple[dict[str, int], list[dict[str, Any]]]:
-    """Returns the switches of each actuator by the planner's ledger, and the goals, newest first."""
     return read(STATE[PLANNER] / "planar16.sqlite")
 
 
@@ -51,13 +45,11 @@ def systemctl(*words: str) -> str:
 
 
 def journal() -> str:
-    """Returns the messages of both services."""
     words = ["journalctl", "--no-pager", "-u", PLANNER, "-u", EXECUTOR]
     return subprocess.run(words, capture_output=True, text=True).stdout
 
 
 def shown(service: str, name: str) -> str:
-    """Returns a property of a service."""
     return systemctl("show", service, "--value", "--property", name).strip()
 
 
@@ -72,7 +64,6 @@ def eventually_shown(what: Callable[[], T]) -> T:
 
 
 def status(service: str) -> dict[str, str]:
-    """Returns the fields of /proc/PID/status of a service."""
     text = Path(f"/proc/{pid(service)}/status").read_text()
     return dict(re.findall(r"(\w+):\s+(.*)", text))
 
@@ -87,7 +78,6 @@ def exposure(service: str) -> float:
 
 
 def drain(listener: can.BusABC) -> list[can.Message]:
-    """Returns the frames on the bus since the last call."""
     frames = []
     while (frame := listener.recv(0)) is not None:
         frames.append(frame)
@@ -117,7 +107,6 @@ def disturbances(frames: Sequence[can.Message], longest_gap: float) -> list[str]
     """Returns every sign that the boards did not stay operational under the master's heartbeat.
 
     Args:
-        frames: all on the bus for a while.
         longest_gap: allowed between two heartbeats of the master [s].
     """
     found, beats = [], []

@@ -66,7 +66,6 @@ def can0() -> Iterator[vcan.Interface]:
 
 @pytest.fixture(scope="module", autouse=True)
 def boards(can0: vcan.Interface) -> Iterator[None]:
-    """The simulated boards, a process of their own."""
     command, pipe = ["hyperbit", "simulate", str(ARM)], subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=robot.ENVIRONMENT) as process:
         assert process.stdout is not None
@@ -77,7 +76,6 @@ def boards(can0: vcan.Interface) -> Iterator[None]:
 
 @pytest.fixture
 def frames(can0: vcan.Interface) -> Iterator[can.BusABC]:
-    """Hears all frames on the bus from now on."""
     with can.Bus(interface="socketcan", channel=can0.name, ignore_config=True) as listening:
         vcan.make_room(listening)
         yield listening
@@ -85,7 +83,6 @@ def frames(can0: vcan.Interface) -> Iterator[can.BusABC]:
 
 @pytest.fixture
 def client() -> Iterator[Observer]:
-    """A client outside the services."""
     with ExitStack() as stack:
 
         def connect() -> zenoh.Session | None:

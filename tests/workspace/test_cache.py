@@ -19,7 +19,6 @@ KEY = key(ARM, PIXEL, LEVEL_PIXELS)
 
 @pytest.fixture
 def path(tmp_path):
-    """A new cache file of ARM's densities."""
     load_or_map(ARM, PIXEL, LEVEL_PIXELS, tmp_path)
     (path,) = tmp_path.iterdir()
     return path

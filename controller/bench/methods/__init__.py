@@ -96,7 +96,7 @@ def find_method(target: str) -> Prepare:
 
 
 def function_of(load: Callable[[], ModuleType], place: str, name: str) -> Prepare:
-    """Returns a function of the module that `load` returns; raises ValueError if there is none."""
+    """Returns a function of the module that `load` returns. Raises ValueError if there is none."""
     try:
         module = load()
     except (Exception, SystemExit) as error:
@@ -109,7 +109,7 @@ def function_of(load: Callable[[], ModuleType], place: str, name: str) -> Prepar
 
 @lru_cache(maxsize=16)
 def executed(path: str, source: bytes) -> ModuleType:
-    """Returns the module of a file. Its name is made of the file's path, so that it hides no other module."""
+    """Returns the module of a file. Its name contains the file's path, so that it hides no other module."""
     module = ModuleType(path.replace(".", "_"))
     module.__file__ = path
     sys.modules[module.__name__] = module  # for dataclasses and pickle

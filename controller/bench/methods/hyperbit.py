@@ -10,8 +10,6 @@ from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
 
 
 class OwnMethod(NamedTuple):
-    """A method of the library."""
-
     method: Method
 
     def __call__(self, arm: BenchArm) -> Solve:

@@ -20,8 +20,6 @@ from hyperbit.controller.workspace.densities import Densities
 
 
 class KSwitch(NamedTuple):
-    """The arm, and k."""
-
     arm: Planar
     switches: int
 
@@ -31,7 +29,6 @@ def prepare(manipulator: Manipulator, densities: Densities | None, switches: int
 
 
 def solve(tables: KSwitch, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
-    """Returns a configuration (B,) for a goal (2,)."""
     configuration = np.array(previous)
     search(goal, tables.arm, tables.switches, tolerance, configuration)
     return configuration

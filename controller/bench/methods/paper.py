@@ -29,8 +29,6 @@ THRESHOLD = 1e8
 
 @dataclass(frozen=True, eq=False)
 class PaperTables:
-    """The arm, and the densities of its intermediate workspaces."""
-
     arm: Planar
     densities: Densities
 
@@ -45,7 +43,6 @@ def solve_pop(tables: PaperTables, goal: Array, previous: Configuration, toleran
 
 
 def solve_ipop(tables: PaperTables, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
-    """Returns a configuration (B,) for a goal (2,)."""
     states = np.arange(tables.arm.differing.shape[2])
     changed = np.asarray(states != np.asarray(previous)[:, None], dtype=np.int64)
     thresholds = np.asarray(np.log(np.maximum(THRESHOLD * tables.densities.pixels**2, 1.0)))
@@ -53,7 +50,7 @@ def solve_ipop(tables: PaperTables, goal: Array, previous: Configuration, tolera
 
 
 def descent(tables: PaperTables, goal: Array, stage_costs: Index, thresholds: Array) -> Configuration:
-    """Returns the configuration (B,) of the descent; thresholds apply to ln of a pixel's count, shape (B+1,)."""
+    """Returns the descent's configuration (B,); `thresholds` (B+1,) are compared with ln(count) of a pixel."""
     configuration = np.zeros(len(tables.arm.states), dtype=np.int64)
     descend(goal, tables.arm, levels_of(tables.densities), stage_costs, thresholds, configuration)
     return configuration

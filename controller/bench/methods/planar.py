@@ -14,19 +14,12 @@ Index = NDArray[np.int64]
 
 
 class Planar(NamedTuple):
-    """The arm. A motion (c, s, x, y) takes a point to (c px - s py + x, s px + c py + y).
+    """The arm. A motion (c, s, x, y) maps a point to (c px - s py + x, s px + c py + y)."""
 
-    Attributes:
-        states: K_i, shape (B,).
-        up: motion from frame i to frame i-1, for each state, shape (B, K, 4).
-        down: motion from frame i-1 to frame i, for each state, shape (B, K, 4).
-        differing: actuators that differ between two states of a module, shape (B, K, K).
-    """
-
-    states: Index
-    up: Array
-    down: Array
-    differing: Index
+    states: Index  # K_i, shape (B,)
+    up: Array  # motion from frame i to frame i-1, for each state, shape (B, K, 4)
+    down: Array  # motion from frame i-1 to frame i, for each state, shape (B, K, 4)
+    differing: Index  # actuators that differ between two states of a module, shape (B, K, K)
 
     def costs(self, previous: Configuration) -> Index:
         """Switches to each state of each module from a configuration, shape (B, K)."""

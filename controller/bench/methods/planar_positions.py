@@ -1,4 +1,4 @@
-"""Methods of the literature, which take positions of planar arms without obstacles, as methods of the benchmark."""
+"""Methods of the literature for positions of planar arms without obstacles, as methods of the benchmark."""
 
 from collections.abc import Callable
 from functools import partial

@@ -40,7 +40,6 @@ def prepare(manipulator: Manipulator, densities: Densities | None) -> TwoByTwo:
 
 
 def solve(tables: TwoByTwo, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
-    """Returns a configuration (B,) for a goal (2,)."""
     arm, configuration = tables.arm, np.zeros(len(previous), dtype=np.int64)
     place(goal, arm.down, arm.states, tables.means, configuration)
     improve(goal, arm.up, arm.down, arm.states, tolerance, configuration)

@@ -28,27 +28,16 @@ Prices = NDArray[np.int8]
 
 
 class CellTable(NamedTuple):
-    """Rows of a list, sorted into square cells by their points, the cheapest first in each cell.
+    """Rows of a list, sorted into square cells by their points, the cheapest first in each cell."""
 
-    Attributes:
-        points: points of the list, shape (n, 2).
-        prices: prices of the list, shape (n,).
-        starts: first of `rows` of each cell, shape (cells + 1,).
-        rows: rows of the list, cell by cell, shape (n,).
-        low: lower corner of the first cell, shape (2,).
-        cell: side of a cell; at least two tolerances.
-        width: number of cells along x.
-        height: number of cells along y.
-    """
-
-    points: Array
-    prices: Prices
-    starts: Small
-    rows: Small
-    low: Array
-    cell: float
-    width: int
-    height: int
+    points: Array  # of the list, shape (n, 2)
+    prices: Prices  # of the list, shape (n,)
+    starts: Small  # first of `rows` of each cell, shape (cells + 1,)
+    rows: Small  # of the list, cell by cell, shape (n,)
+    low: Array  # lower corner of the first cell, shape (2,)
+    cell: float  # side of a cell; at least two tolerances
+    width: int  # number of cells along x
+    height: int  # number of cells along y
 
 
 CELL_TABLE = named(CellTable, F2, int8[::1], S1, S1, F1, float64, int64, int64)
@@ -59,11 +48,7 @@ FOUND_PAIR: Any = types.UniTuple(int64, 3)  # type: ignore[no-untyped-call]
 class HalfList:
     """The list of all configurations of half an arm within a number of switches, each with the image of a point.
 
-    Args:
-        arm: the arm.
-        motions: of all modules, shape (B, K, 4).
-        modules: those of the half, in the order in which they move the point.
-        switches: most switches.
+    `motions` (B, K, 4) are those of all modules. `modules` of the half are in the order in which they move the point.
     """
 
     def __init__(self, arm: Planar, motions: Array, modules: Index, switches: int) -> None:
@@ -111,7 +96,6 @@ def prepare(manipulator: Manipulator, densities: Densities | None, switches: int
 
 
 def solve(tables: TwoLists, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
-    """Returns a configuration (B,) for a goal (2,)."""
     if (found := meet(tables, goal, previous, tolerance, NONE)) is not None:
         return found[0]
     return previous if tables.fallback is None else paper.solve_pop(tables.fallback, goal, previous, tolerance)
@@ -194,7 +178,6 @@ def by_price(prices: Prices, count: int, most: int, order: Small) -> None:
 
 @njit("void(f8[:,::1], i8, f8[::1], f8[::1])", cache=True, nogil=True)
 def box(points: Array, count: int, low: Array, high: Array) -> None:
-    """Writes the lower and the upper corner of the points' bounding box."""
     low[:], high[:] = np.inf, -np.inf
     for n in range(count):
         for a in range(2):

@@ -11,10 +11,18 @@ import typer
 import yaml
 
 from hyperbit.controller.arm.arm import load
+from hyperbit.controller.armfile.documents import read_yaml
 from hyperbit.controller.armfile.places import counted
-from hyperbit.controller.armfile.strict import InputFaults, read_yaml
+from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands.arguments import ArmFile, AsJson, Dask, Workers
-from hyperbit.controller.commands.common import CommandFailed, console, print_json, print_table, results_table
+from hyperbit.controller.commands.common import (
+    CommandFailed,
+    check_output,
+    console,
+    print_json,
+    print_table,
+    results_table,
+)
 from hyperbit.controller.commands.sharing import checked_sharing, open_workers, progress_bar, spread_over
 
 if TYPE_CHECKING:
@@ -53,6 +61,8 @@ def calibrate(
     measured = read_samples(samples, arm.manipulator)
     if out is not None and out.exists() and not force:
         raise InputFaults(out, ["the file exists; name another file, or add --force"])
+    if out is not None:
+        check_output(out)
     try:
         with open_workers(sharing) as client, progress_bar("fits") as progress:
             spread = spread_over(client, progress, "fits", lambda mask: 1)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,14 +19,17 @@ from hyperbit.controller.commands.common import CommandFailed, print_json
 
 if TYPE_CHECKING:
     from hyperbit.controller.arm.arm import Arm
+    from hyperbit.controller.armfile.settings import BusSettings
 
 SOCKET = "Socket of the arm's executor, or its folder; with --bus the command checks that no executor answers there."
 SILENT = ("does not answer", "do not answer")
+ATTEMPT = 5.0  # [s] for the command ip
 KINDS = {  # of faults, by code: what one board does, and what several do
     "board-missing": SILENT,
     "board-stopped": ("is stopped", "are stopped"),
     "board-error": ("reports an error", "report an error"),
     "wrong-device": ("lacks an object or value that hyperbit needs", "lack an object or value that hyperbit needs"),
+    "bit-rate": ("has another bit rate", "have another bit rate"),
     "sdo-refused": ("refuses a value that hyperbit needs", "refuse a value that hyperbit needs"),
 }
 
@@ -39,6 +44,9 @@ def check(
     socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Draw the arm: PNG, PDF or SVG, by the suffix.", show_default=False)
+    ] = None,
+    wiring: Annotated[
+        Path | None, typer.Option(help="Draw the wiring of each board, by the suffix as well.", show_default=False)
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -58,6 +66,8 @@ def check(
     fields, warnings = summarize(arm), file_warnings(arm)
     if picture is not None:
         draw(arm, picture)
+    if wiring is not None:
+        draw_wiring(arm, wiring)
     boards = compare(arm, eds, node) if eds is not None else []
     boards += ask_boards(arm, socket) if bus else []
     missing = [f"{board['board']}: {board['answer']}" for board in boards if not board["ok"]]
@@ -101,6 +111,16 @@ def draw(arm: Arm, picture: Path) -> None:
         raise InputFaults(picture, [f"cannot be written: {error}"]) from None
 
 
+def draw_wiring(arm: Arm, picture: Path) -> None:
+    """Draws the outputs and inputs of each board, and what is connected to them."""
+    from hyperbit.controller.pictures import wiring_plots
+
+    try:
+        wiring_plots.save(picture, arm.settings)
+    except (OSError, ValueError) as error:
+        raise InputFaults(picture, [f"cannot be written: {error}"]) from None
+
+
 def print_arm(file: Path, arm: Arm, fields: dict[str, Any], warnings: list[str]) -> None:
     """Prints the size of a correct arm, the warnings about its file, and its summary."""
     from hyperbit.controller.arm.summary import summary_lines
@@ -132,12 +152,29 @@ def summary(codes: Iterable[str]) -> str:
     return ", ".join([f"{first} board{'s' * (first != '1')} {verb}", *parts[1:]])
 
 
+def wrong_rates(arm: Arm) -> Iterator[tuple[BusSettings, str]]:
+    """Yields each bus whose interface has another bit rate than the arm's file, and both in words."""
+    for bus in (bus for bus in arm.settings.buses if bus.interface == "socketcan"):
+        command = ["ip", "-json", "-details", "link", "show", "dev", bus.channel]
+        try:
+            told = json.loads(subprocess.run(command, capture_output=True, timeout=ATTEMPT).stdout)
+            rate = told[0]["linkinfo"]["info_data"]["bittiming"]["bitrate"]
+        except (OSError, ValueError, LookupError, TypeError, subprocess.TimeoutExpired):
+            continue  # no CAN interface of its own, or this computer cannot tell
+        if rate != bus.bitrate:
+            where = f"/etc/systemd/network/80-{bus.channel}.network"
+            yield bus, f"{bus.channel} has {rate} bit/s, the arm's file {bus.bitrate}: change {where} or the file"
+
+
 def ask_boards(arm: Arm, socket: Path | None) -> list[dict[str, Any]]:
     from hyperbit.controller.commands.configure.executor_absence import session_without_executor
     from hyperbit.controller.executor.arm.arm import timing_of, wiring_of
     from hyperbit.drivers.canopen.tools.bus_check import check_bus
 
     wiring, timing = wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring), timing_of(arm.settings)
+    wrong = [{"board": bus.name, "ok": False, "answer": text, "code": "bit-rate"} for bus, text in wrong_rates(arm)]
+    if wrong:
+        return wrong
     with session_without_executor(wiring.buses, arm.settings.name, socket, timing.heartbeat) as session:
         told = check_bus(session, wiring, timing)
     return [{"board": a.board, "ok": not a.code, "answer": a.text, "code": a.code} for a in told]

@@ -26,11 +26,19 @@ from rich.table import Table
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.patience import patient_copy
-from hyperbit.controller.commands.common import CommandFailed, console, densities_of, errors, load_wired, shipped
+from hyperbit.controller.commands.common import (
+    CommandFailed,
+    check_output,
+    console,
+    densities_of,
+    errors,
+    load_wired,
+    shipped,
+)
 from hyperbit.controller.commands.connection import connected
-from hyperbit.controller.commands.operate.endpoints import accepts
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.manipulator.notation import parse_configuration
+from hyperbit.controller.network.endpoints import accepts
 from hyperbit.controller.pictures import plots
 from hyperbit.controller.workspace.densities import Densities
 
@@ -55,6 +63,8 @@ def demo(
     """Run a daemon on simulated boards, send it three targets and a closed curve, and draw a picture."""
     path = file or shipped("planar16.yaml")
     arm = load_wired(path)
+    for output in filter(None, (picture, animation)):
+        check_output(output)
     # The picture needs matplotlib, which is imported while the daemon starts.
     threading.Thread(target=importlib.import_module, args=("matplotlib.figure",), daemon=True).start()
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as pool:

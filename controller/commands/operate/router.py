@@ -12,9 +12,7 @@ import typer
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import Listen, ZenohFile
-from hyperbit.controller.commands.common import CommandFailed
-from hyperbit.controller.commands.connection import NoSession, open_zenoh, zenoh_config
-from hyperbit.controller.commands.operate.endpoints import port_taken
+from hyperbit.controller.commands.connection import open_zenoh, zenoh_config
 from hyperbit.controller.commands.process import Process
 
 if TYPE_CHECKING:
@@ -33,12 +31,7 @@ def router(
     """Run a Zenoh router until SIGTERM: it connects arms, pages and commands of several computers."""
     config = router_config(listen, connect, zenoh_file)
     process = Process()
-    try:
-        session = open_zenoh(config)
-    except NoSession as error:
-        taken = None if zenoh_file else port_taken(listen)
-        raise CommandFailed(taken or f"no router at {zenoh_file or listen}: {error}") from None
-    with session:
+    with open_zenoh(config):
         process.notifier.notify("READY=1")
         log.info("routing at %s", ", ".join(json.loads(config.get_json("listen/endpoints"))))
         while not process.wait(PERIOD):

@@ -19,9 +19,9 @@ from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmFile, BoardKinds, Listen, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, densities_of, load_wired
 from hyperbit.controller.commands.connection import zenoh_config
-from hyperbit.controller.commands.operate.endpoints import port_taken, wait_for_router
 from hyperbit.controller.commands.operate.simulate import variants_of
 from hyperbit.controller.commands.process import ending_event
+from hyperbit.controller.network.endpoints import wait_for_router
 
 if TYPE_CHECKING:
     import zenoh
@@ -58,12 +58,14 @@ def run(
     check_options(board, socket, zenoh_file, simulate=simulate, panel=panel is not None)
     if connect is not None and zenoh_file is not None:
         raise InputFaults(Path("run"), ["give either --connect or --zenoh, whose file can name the router"])
+    network = Network(listen, connect, zenoh_file)
+    network.config()  # its faults are told before the executor starts
     prepare_process()
     boards = board if simulate else None
     if simulate and socket is None and os.isatty(INPUT):
         typer.echo(TYPED)
     with started_executor(file, socket, ledger, boards) as executor, started_page(connect or listen, panel):
-        serve(file, executor, Network(listen, connect, zenoh_file), ledger, simulated=simulate)
+        serve(file, executor, network, ledger, simulated=simulate)
 
 
 class RunningExecutor(NamedTuple):
@@ -85,13 +87,6 @@ class Network(NamedTuple):
         if self.connect is not None:
             return zenoh_config(None, connect=self.connect)
         return zenoh_config(self.file, mode="peer", listen=self.listen)
-
-    def failure(self, error: zenoh.ZError) -> str:
-        """Returns why there is no session, and what to do."""
-        from hyperbit.controller.network import session
-
-        taken = port_taken(self.listen) if self.connect is None and self.file is None else None
-        return taken or f"no Zenoh session at {self.file or self.connect or self.listen}: {session.reason(error)}"
 
 
 def check_options(
@@ -178,11 +173,10 @@ def reachable(listen: str) -> str:
 
 def serve(file: Path, executor: RunningExecutor, network: Network, ledger: Path | None, *, simulated: bool) -> None:
     """Serves an arm until a signal arrives, or until the executor that this command started ends."""
-    import zenoh
-
     from hyperbit.controller.gateway.claim import AlreadyRunning
     from hyperbit.controller.gateway.daemon import running
-    from hyperbit.controller.planning.ledger import LedgerInUse
+    from hyperbit.controller.host.keeper import FileInUse
+    from hyperbit.controller.network.reach import NoSession
     from hyperbit.controller.planning.ledger_file import default_path
 
     arm = load_wired(file)
@@ -202,7 +196,7 @@ def serve(file: Path, executor: RunningExecutor, network: Network, ledger: Path 
                     raise CommandFailed(f"{daemon.failure}: the log has details")
                 if (code := executor.ended()) is not None:
                     raise CommandFailed(f"the executor ended with code {code}: its messages are above")
-    except (AlreadyRunning, LedgerInUse) as error:
+    except (AlreadyRunning, FileInUse) as error:
         raise CommandFailed(str(error)) from None
-    except zenoh.ZError as error:
-        raise CommandFailed(network.failure(error)) from None
+    except NoSession as error:
+        raise CommandFailed(str(error), error.step) from None

@@ -11,7 +11,7 @@ import typer
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import common
 from hyperbit.controller.commands.arguments import ArmFile, AsJson
-from hyperbit.controller.commands.common import CommandFailed, print_json
+from hyperbit.controller.commands.common import CommandFailed, drawn, print_json
 
 # StateDirectory of the service, and its link target under DynamicUser, which only root can read.
 SERVICE_FOLDERS = (Path("/var/lib/hyperbit"), Path("/var/lib/private/hyperbit"))
@@ -78,7 +78,7 @@ def print_counts(counts: dict[str, int]) -> None:
     most = max(max(counts.values()), 1)
     table = Table("actuator", "switches", "", title=f"{sum(counts.values())} switches, the most worn first")
     for label, count in sorted(counts.items(), key=lambda item: -item[1]):
-        table.add_row(label, str(count), "█" * round(30 * count / most))
+        table.add_row(label, str(count), drawn("█", "#") * round(30 * count / most))
     common.print_table(table)
 
 

@@ -17,6 +17,7 @@ from hyperbit.controller.commands.common import CommandFailed
 LISTEN = "127.0.0.1:7480"
 PEOPLE = "File of people who may view or command. Default: new tokens for one operator and one viewer at each start."
 WAY_OUT = "give another port: hyperbit panel --listen 127.0.0.1:7481, or hyperbit run ARM.yaml --panel 7481"
+PUBLIC = "Address of the page at a reverse proxy, such as https://robot.local/hyperbit/. Default: there is no proxy."
 CLIENTS = "Authority of client certificates; people whose certificate is named in --people need no token."
 
 
@@ -31,6 +32,7 @@ def panel(
     certificate: Annotated[Path | None, typer.Option(help="Certificate for TLS.")] = None,
     key: Annotated[Path | None, typer.Option(help="Private key of the certificate.")] = None,
     client_ca: Annotated[Path | None, typer.Option(help=CLIENTS)] = None,
+    public: Annotated[str | None, typer.Option(metavar="URL", help=PUBLIC)] = None,
     prefix: Annotated[
         str, typer.Option(help="Prefix of all Zenoh keys; `replay` shows a recording that `hyperbit replay` serves.")
     ] = "hyperbit",
@@ -43,7 +45,7 @@ def panel(
         raise InputFaults(Path("panel"), ["--certificate and --key go together; --client-ca needs both"])
     try:
         from hyperbit.controller.panel.log_limit import LogLimit
-        from hyperbit.controller.panel.serve import Tls, parse_address, serve, zenoh_configuration
+        from hyperbit.controller.panel.serve import Tls, parse_address, parse_public_address, serve, zenoh_configuration
     except ImportError as error:
         raise CommandFailed(str(error), "install the page's libraries: pip install 'hyperbit[panel]'") from None
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
@@ -52,9 +54,10 @@ def panel(
     try:
         config = zenoh_configuration(connect or [ENDPOINT], zenoh_file)
     except ValueError as error:
-        raise InputFaults(Path("--zenoh"), [str(error)]) from None
+        raise InputFaults(Path("--connect" if zenoh_file is None else "--zenoh"), [str(error)]) from None
     try:
-        serve(parse_address(listen), tls, people, config, prefix)
+        at_proxy = None if public is None else parse_public_address(public)
+        serve(parse_address(listen), tls, people, config, prefix, at_proxy)
     except OSError as error:
         raise CommandFailed(f"the page cannot be served at {listen}: {error.strerror or error}", WAY_OUT) from None
 

@@ -15,7 +15,7 @@ from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, arm_name
 from hyperbit.controller.commands.process import Process, opened_session
-from hyperbit.controller.host.keeper import KINDS, SHARED, RefusedFile, about, read_generation, save
+from hyperbit.controller.host.keeper import KINDS, SHARED, FileInUse, RefusedFile, about, read_generation, save
 
 if TYPE_CHECKING:
     from hyperbit.controller.recorder.can_log import CanLog
@@ -109,11 +109,11 @@ def require(package: str) -> None:
 @contextlib.contextmanager
 def opened_folder(path: Path, arm: str, most: int | None) -> Iterator[Folder]:
     """Opens the folder of an arm's recordings; `most` limits the bytes of all."""
-    from hyperbit.controller.recorder.folder import Folder, FolderInUse
+    from hyperbit.controller.recorder.folder import Folder
 
     try:
         folder = Folder(path, arm, most)
-    except FolderInUse as error:
+    except FileInUse as error:
         raise CommandFailed(str(error)) from None
     except OSError as error:
         raise CommandFailed(f"{path}: recordings cannot be written: {error.strerror}") from None

@@ -13,7 +13,7 @@ from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import common
 from hyperbit.controller.commands.arguments import AsJson, Listen
 from hyperbit.controller.commands.common import CommandFailed, arm_name, print_json
-from hyperbit.controller.commands.connection import NoSession, open_zenoh, zenoh_config
+from hyperbit.controller.commands.connection import open_zenoh, zenoh_config
 from hyperbit.controller.commands.process import ending_event
 from hyperbit.controller.commands.serve.record import require
 
@@ -102,11 +102,7 @@ def play(
     from hyperbit.controller.recorder.player import Player
 
     ending = ending_event()
-    try:
-        session = open_zenoh(config)
-    except NoSession as error:
-        raise CommandFailed(f"no Zenoh session at {endpoint}: {error}") from None
-    with session, contextlib.closing(Player(past, session, prefix, timeline)) as player:
+    with open_zenoh(config) as session, contextlib.closing(Player(past, session, prefix, timeline)) as player:
         what = f"{timeline.end - timeline.begin:.0f} s of {past.arm} on {prefix}/{past.arm}"
         common.console.print(f"replaying {what} at {endpoint}", markup=False)
         player.play(ending.is_set, stay=stay)

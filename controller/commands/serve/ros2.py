@@ -15,6 +15,7 @@ from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, arm_name
 from hyperbit.controller.commands.process import Process, opened_session
+from hyperbit.controller.network.endpoints import parse_endpoint
 
 if TYPE_CHECKING:
     import zenoh
@@ -57,6 +58,10 @@ def ros2(
         Types(distro)
     except UnknownType as error:
         raise InputFaults(Path("--distro"), [str(error)]) from None
+    try:
+        parse_endpoint(ros)
+    except ValueError as error:
+        raise InputFaults(Path("--ros"), [str(error)]) from None
     settings = Settings(namespace, domain, distro, world, orientation)
     try:
         names.check_node(*node_name(name, namespace))
@@ -75,13 +80,21 @@ def ros2(
 
 def serve(session: zenoh.Session, network: Session, arm: str, settings: Settings, process: Process) -> None:
     from hyperbit.controller.host.folders import state_folder
+    from hyperbit.controller.host.keeper import FileInUse, lock_file
     from hyperbit.controller.network.client import Client
     from hyperbit.controller.network.listener import Listener
     from hyperbit.controller.ros2.bridge import Bridge
     from hyperbit.controller.ros2.goal_book import GoalBook
 
-    book = GoalBook(state_folder() / f"{arm}.ros2.json")
+    own = "".join(f"-{part}" for part in settings.namespace.split("/") if part)
+    path = state_folder() / f"{arm}.ros2{own}{f'-domain{settings.domain}' if settings.domain else ''}.json"
     with contextlib.ExitStack() as closing:
+        try:
+            lock = lock_file(path.with_name(f".{path.name}.lock"), f"end the other bridge: {path} is in use by process")
+        except FileInUse as error:
+            raise CommandFailed(str(error)) from None
+        closing.callback(os.close, lock)
+        book = GoalBook(path)
         listener = closing.enter_context(contextlib.closing(Listener(session, arm)))
         client = closing.enter_context(contextlib.closing(Client(session, arm)))
         bridge = closing.enter_context(contextlib.closing(Bridge(listener, client, network, book, settings)))

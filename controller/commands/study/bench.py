@@ -18,7 +18,7 @@ from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.bench.methods import METHODS, find_method
 from hyperbit.controller.commands import common
 from hyperbit.controller.commands.arguments import Dask, Workers
-from hyperbit.controller.commands.common import CommandFailed
+from hyperbit.controller.commands.common import CommandFailed, check_output
 from hyperbit.controller.commands.sharing import Sharing, checked_sharing, open_workers, progress_bar, spread_over
 from hyperbit.controller.search.method import MINIMUM_SWITCH
 
@@ -93,6 +93,8 @@ def bench(
     )
     if unknown := [name for name in sets or [] if name not in SETS]:
         raise InputFaults(Path("--set"), [f"no set {name!r}; there are {', '.join(SETS)}" for name in unknown])
+    if json_file is not None and not silent:
+        check_output(json_file)
     results = list[SetResult]()
 
     def remedy() -> str:

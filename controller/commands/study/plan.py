@@ -89,7 +89,7 @@ def plan(
     if goals is not None:
         study_goals(PlanJob(arm, options, start, sharing.workers, silent=as_json), sharing, output, as_json=as_json)
         return
-    wanted = None if goal is None else WantedGoal(*parse_goal(goal, arm.manipulator.dimension, "--goal"))
+    wanted = None if goal is None else WantedGoal(*parse_goal(goal.split(","), arm.manipulator.dimension, "--goal"))
     shape = home if configuration is None else unlocked(arm, configuration, "--configuration")
     search = prepared_search(arm, options, silent=as_json)
     found = described(search, start, shape) if wanted is None else search_one(search, wanted, start)
@@ -162,7 +162,7 @@ def study_goals(job: PlanJob, sharing: Sharing, output: Path | None, *, as_json:
     with ExitStack() as stack:
         file, done = None, 0
         if output is not None:
-            file, done = stack.enter_context(results_file(output, about(job), ends(job)))
+            file, done = stack.enter_context(results_file(output, about(job), parts(job)))
         if done:
             errors.print(f"{output} has {done} of {total} goals; the search goes on after them")
 
@@ -186,11 +186,11 @@ def study_goals(job: PlanJob, sharing: Sharing, output: Path | None, *, as_json:
                 done += not row.line.get("between", False)
                 progress.update(task, completed=done)
 
-        if file is None:
+        if file is None or output is None:
             print_results(counted(), job.options, as_json=as_json, many=total > MOST_ROWS)
             return
         for row in counted():
-            write_line(file, row.line)
+            write_line(output, file, row.line)
         errors.print(f"{output} has the results of {total} goals")
 
 
@@ -212,9 +212,8 @@ def shares(job: PlanJob, done: int) -> Iterator[list[WantedGoal]]:
         yield share
 
 
-def ends(job: PlanJob) -> Iterator[int]:
-    """Yields the number of goals up to the end of each part that is searched as a whole."""
-    goals, total = read_goals(job.arm, job.options), 0
+def parts(job: PlanJob) -> Iterator[list[list[float]]]:
+    """Yields the positions of the goals of each part that is searched as a whole."""
+    goals = read_goals(job.arm, job.options)
     for part in ([goal] for goal in goals) if job.options.apart else trajectories(goals):
-        total += len(part)
-        yield total
+        yield [goal.position for goal in part]

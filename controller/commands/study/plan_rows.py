@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import numpy as np
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands.common import (
+    CommandFailed,
     configuration,
     console,
     print_json,
@@ -22,6 +26,7 @@ from hyperbit.controller.commands.common import (
     shown,
 )
 from hyperbit.controller.commands.goal_rows import Orientation, goal_rows
+from hyperbit.controller.host.keeper import FileInUse, lock_file
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.manipulator.locked import transferred
 from hyperbit.controller.manipulator.manipulator import Configuration
@@ -140,7 +145,7 @@ def print_results(found: Iterable[Row], options: PlanOptions, *, as_json: bool, 
             print_json(row.line)
         return
     work = "effort" if options.effort is not None else "ms"
-    columns = "goal", "configuration", "position", r"θ \[rad]", "error", "switches", work
+    columns = "goal", "configuration", "position", r"th \[rad]", "error", "switches", work
     table, wholes = results_table(*columns), list[dict[str, Any]]()
     if many:
         console.print("  ".join(columns))
@@ -172,39 +177,54 @@ def sentence(whole: Mapping[str, Any]) -> str:
 
 
 @contextmanager
-def results_file(path: Path, about: Mapping[str, Any], ends: Iterator[int]) -> Iterator[tuple[BinaryIO, int]]:
+def results_file(
+    path: Path, about: Mapping[str, Any], parts: Iterator[list[list[float]]]
+) -> Iterator[tuple[BinaryIO, int]]:
     """Opens a file of results to go on with it, or creates it; yields it, and the number of goals that are done.
 
     The file has a header, and a line for each result. A line that was half written, and the results of a part that was
-    not finished, are cut.
+    not finished, are cut. While it is open no other process writes it.
 
     Args:
         path: of the file.
         about: what the results belong to, for the header: study, arm, goals and options.
-        ends: numbers of goals at which a study may go on, rising.
+        parts: positions of the goals of each part that is searched as a whole.
     """
     header = {**about, "hyperbit": metadata.version("hyperbit")}
-    try:
-        opened = path.open("r+b" if path.exists() else "w+b")
-    except OSError as error:
-        raise InputFaults(path, [f"cannot be written: {error.strerror}"]) from None
-    with opened as file:
+    lock = path.with_name(f".{path.name}.lock")
+    with ExitStack() as closing:
+        if not path.parent.is_dir():
+            raise InputFaults(path, [f"cannot be written: there is no folder {path.parent}"])
+        try:
+            closing.callback(os.close, lock_file(lock, f"{path}: end the other study, or name another file: process"))
+            closing.callback(lock.unlink, missing_ok=True)
+            file = closing.enter_context(path.open("r+b" if path.exists() else "w+b"))
+        except FileInUse as error:
+            raise CommandFailed(str(error)) from None
+        except OSError as error:
+            raise InputFaults(path, [f"cannot be written: {error.strerror}"]) from None
         first, done = file.readline(), 0
         if not first.endswith(b"\n") and (json.dumps(header) + "\n").encode().startswith(first):
             file.seek(0)
             file.truncate()
-            write_line(file, header)
+            write_line(path, file, header)
         else:
             check_header(path, first, header)
-            done, size = finished(path, file, len(first), ends)
+            done, size = finished(path, file, len(first), parts)
             file.seek(size)
             file.truncate()
         yield file, done
 
 
-def write_line(file: BinaryIO, line: Mapping[str, Any]) -> None:
-    file.write(json.dumps(line).encode() + b"\n")
-    file.flush()
+def write_line(path: Path, file: IO[bytes], line: Mapping[str, Any]) -> None:
+    """Writes a line without the file's buffer, which would be written again when it is closed."""
+    data = json.dumps(line).encode() + b"\n"
+    try:
+        if os.write(file.fileno(), data) < len(data):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    except OSError as error:
+        step = "free disk space; the same command then goes on where it ended"
+        raise CommandFailed(f"{path} cannot be written: {error.strerror}", step) from None
 
 
 def check_header(path: Path, line: bytes, header: Mapping[str, Any]) -> None:
@@ -219,22 +239,29 @@ def check_header(path: Path, line: bytes, header: Mapping[str, Any]) -> None:
         raise InputFaults(path, [f"its results belong to {' and '.join(other)}: give the name of a new file"])
 
 
-def finished(path: Path, file: BinaryIO, size: int, ends: Iterator[int]) -> tuple[int, int]:
+def finished(path: Path, file: BinaryIO, size: int, parts: Iterator[list[list[float]]]) -> tuple[int, int]:
     """Returns the number of finished goals, and the size of the file up to them.
 
-    `file` is open after the header of `size` bytes; for `ends` see results_file.
+    `file` is open after the header of `size` bytes; for `parts` see results_file.
     """
-    done, whole, goals, end = 0, size, 0, next(ends)
+    done, whole, goals, wanted = 0, size, 0, deque[list[float]]()
     for number, line in enumerate(file, 2):
         if not line.endswith(b"\n"):
             break
-        try:
-            between = json.loads(line).get("between", False)
-        except (ValueError, AttributeError):
-            raise InputFaults(path, [f"line {number} is damaged: give the name of a new file"]) from None
-        if goals == end and (end := next(ends, 0)) == 0:
+        if not wanted:
+            wanted.extend(next(parts, ()))
+        if not wanted:
             raise InputFaults(path, [f"line {number}: there are more results than goals"])
+        try:
+            row = json.loads(line)
+            goal, between = row["goal"], row.get("between", False)
+        except (ValueError, TypeError, KeyError, AttributeError):
+            raise InputFaults(path, [f"line {number} is damaged: give the name of a new file"]) from None
+        if not between and goal != wanted.popleft():
+            raise InputFaults(
+                path, [f"line {number} is of another goal, so lines are missing: give the name of a new file"]
+            )
         size, goals = size + len(line), goals + (not between)
-        if goals == end:
+        if not wanted:
             done, whole = goals, size
     return done, whole

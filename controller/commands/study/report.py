@@ -9,6 +9,7 @@ import typer
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.commands.arguments import ArmFile, AsJson, Picture
 from hyperbit.controller.commands.common import (
+    check_output,
     configuration,
     console,
     densities_of,
@@ -69,11 +70,13 @@ def figure5(
     """Repeat the paper's experiment of section 4: three targets, three algorithms."""
     from hyperbit.controller.pictures.figure5 import experiment, save
 
+    check_output(picture)
+
     arm = load(shipped("planar16.yaml"))
     densities = densities_of(arm, silent=as_json)
     rows = experiment(arm, densities)
     save(picture, arm, densities, rows)
-    table = results_table("method", "target", "configuration", "x", "y", "θ", "error", "switches")
+    table = results_table("method", "target", "configuration", "x", "y", "th", "error", "switches")
     for row in rows:
         if as_json:
             print_json({**row.__dict__, "picture": str(picture)})

@@ -14,6 +14,7 @@ from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands.arguments import ArmFile, AsJson, Dask, Picture, Tolerance, Workers
 from hyperbit.controller.commands.common import (
+    check_output,
     console,
     densities_of,
     parse_goal,
@@ -64,6 +65,7 @@ def workspace(
     from hyperbit.controller.workspace.locked_reach import LockChoices, reach_when_locked
     from hyperbit.controller.workspace.orientations import orientations_at
 
+    check_output(picture)
     arm = load(file)
     reduced, own = arm.reduced, arm.tolerance if tolerance is None else tolerance
     if not 1e-9 <= own <= 1e6:
@@ -107,7 +109,7 @@ def workspace(
 
 
 def position(text: str, dimension: int) -> list[float]:
-    found, orientation = parse_goal(text, dimension, "--at")
+    found, orientation = parse_goal(text.split(","), dimension, "--at")
     if orientation is not None:
         raise InputFaults(Path("--at"), [f"{text!r}: a position of {dimension} numbers is needed"])
     return found

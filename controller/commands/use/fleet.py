@@ -20,8 +20,9 @@ from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import ENDPOINT, common
 from hyperbit.controller.commands.arguments import AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, print_json, print_table, results_table
-from hyperbit.controller.commands.connection import START, open_session, zenoh_config
+from hyperbit.controller.commands.connection import open_session, zenoh_config
 from hyperbit.controller.commands.use.watch import COLOURS, reason_and_faults
+from hyperbit.controller.network.endpoints import START
 
 if TYPE_CHECKING:
     from hyperbit.controller.network.fleet import ArmAddress, ArmStatus, Fleet

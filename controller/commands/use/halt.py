@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 from socket import AF_UNIX, SOCK_SEQPACKET
 from socket import socket as Socket
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
@@ -34,12 +34,29 @@ def halt(
         from hyperbit.controller.commands.common import arm_name
 
         arm = arm_name(arm)
-    answer = halt_local(arm, socket)
-    typer.echo(json.dumps({"accepted": True, "message": answer}) if as_json else answer)
+    halts = halt_local(arm, socket)
+    for each in halts:
+        if as_json:
+            typer.echo(json.dumps({"arm": each.arm, "accepted": each.step is None, "message": each.message}))
+        elif each.step is None:
+            typer.echo(f"{each.arm}: {each.message}")
+    if steps := [each.step for each in halts if each.step is not None]:
+        from hyperbit.controller.commands.common import CommandFailed
+
+        failures = "\n".join(f"{each.arm}: {each.message}" for each in halts if each.step is not None)
+        raise CommandFailed(failures, JOIN if JOIN in steps else SEARCH)
 
 
-def halt_local(name: str = "", path: Path | None = None) -> str:
-    """Halts an arm, or all arms whose executors run on this computer; returns their answers, one in each line.
+class Halt(NamedTuple):
+    """What became of the halt of one arm; `step` is what to do if it failed."""
+
+    arm: str
+    message: str
+    step: str | None = None
+
+
+def halt_local(name: str = "", path: Path | None = None) -> list[Halt]:
+    """Halts an arm, or all arms whose executors run on this computer.
 
     Args:
         name: name of the arm; "": all arms.
@@ -51,21 +68,16 @@ def halt_local(name: str = "", path: Path | None = None) -> str:
         paths = [path] if path.suffix == ".sock" else sorted(path.glob("*.sock"))
     else:
         paths = found_sockets()
-    answers, failures, step = [], [], ""
+    halts = []
     for own in paths:
         try:
-            answers.append(f"{own.stem}: {halt_at(own, name)}")
+            halts.append(Halt(own.stem, halt_at(own, name)))
         except OSError as error:
-            step = JOIN if isinstance(error, PermissionError) else step or SEARCH
-            failures.append(f"{own}: no executor answers ({error.strerror or error})")
+            step = JOIN if isinstance(error, PermissionError) else SEARCH
+            halts.append(Halt(own.stem, f"{own}: no executor answers ({error.strerror or error})", step))
         except Malformed as error:
-            failures.append(f"{own}: {error}")
-    if failures or not paths:
-        from hyperbit.controller.commands.common import CommandFailed
-
-        lines = "\n".join([*answers, *failures])
-        raise CommandFailed(lines or "no executor is running: there is no socket", step if lines else SEARCH)
-    return "\n".join(answers)
+            halts.append(Halt(own.stem, f"{own}: {error}", SEARCH))
+    return halts or [Halt(name, "no executor is running: there is no socket", SEARCH)]
 
 
 def halt_at(path: Path, name: str) -> str:

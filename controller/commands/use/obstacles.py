@@ -7,11 +7,12 @@ from typing import Annotated, Any
 
 import typer
 
+from hyperbit.controller.armfile.documents import parse_payload, read_text
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import print_json
-from hyperbit.controller.commands.connection import ask, connected, read_payload
+from hyperbit.controller.commands.connection import ask, connected
 
 REGIONS = "Obstacles, YAML or JSON: a list `regions`, written as `obstacles` in the arm's file. Without it: list."
 KINDS = ("disc", "sphere", "box", "half_plane", "half_space")
@@ -28,7 +29,9 @@ def obstacles(
     """List the obstacles, or replace those that were sent before; the file's remain. Nothing moves."""
     if file is not None and none:
         raise InputFaults(Path("obstacles"), ["give either a file of regions or --none"])
-    payload: dict[str, Any] = {"regions": []} if file is None else read_payload(file, "regions", "regions")
+    payload: dict[str, Any] = {"regions": []}
+    if file is not None:
+        payload = parse_payload(read_text(file), file, "regions", "regions")
     with connected(arm, connect, zenoh_file) as client:
         if file is None and not none:
             print_obstacles(client.request("arm"), as_json)

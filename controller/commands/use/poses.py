@@ -17,7 +17,7 @@ from hyperbit.controller.commands.use.send import read_goal
 if TYPE_CHECKING:
     from hyperbit.controller.network.client import Client
 
-SAVE = "Save a pose under this name, in place of an earlier one: the goal of FILE, or the arm's present configuration."
+SAVE = "Save a pose under this name: the goal of FILE, or the arm's present configuration."
 FILE = "File of the goal to save: YAML, JSON or CSV, as `send` takes it."
 
 
@@ -25,6 +25,7 @@ def poses(
     arm: ArmName,
     file: Annotated[Path | None, typer.Argument(metavar="FILE", help=FILE, show_default=False)] = None,
     save: Annotated[str | None, typer.Option(metavar="NAME", help=SAVE, show_default=False)] = None,
+    replace: Annotated[bool, typer.Option("--replace", help="Save in place of an earlier pose of this name.")] = False,
     remove: Annotated[str | None, typer.Option(metavar="NAME", help="Remove a saved pose.", show_default=False)] = None,
     connect: Connect = ENDPOINT,
     zenoh_file: ZenohFile = None,
@@ -36,6 +37,8 @@ def poses(
     goal = None if file is None else read_goal(file)
     with connected(arm, connect, zenoh_file) as client:
         if save is not None:
+            if not replace and save in (pose["name"] for pose in client.request("arm")["poses"]):
+                raise CommandFailed(f"{arm} has a pose {save!r} already", "give another name, or --replace")
             ask(client, arm, "poses", {"save": save, "goal": goal or present(client, arm)}, as_json)
         elif remove is not None:
             ask(client, arm, "poses", {"remove": remove}, as_json)

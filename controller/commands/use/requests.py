@@ -12,7 +12,8 @@ from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, print_json
 from hyperbit.controller.commands.completion import complete_arms
-from hyperbit.controller.commands.connection import START, ask, connected, open_session
+from hyperbit.controller.commands.connection import ask, connected, open_session
+from hyperbit.controller.network.endpoints import START
 
 ALL = "Stop all arms of the network, also below namespaces, and tell which have stopped."
 ANY_ARM = "The arm's file, or its name. With --all it is absent."

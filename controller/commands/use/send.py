@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import sys
 import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hyperbit.controller.armfile.choices import number
+from hyperbit.controller.armfile.documents import parse_payload, read_text
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import ENDPOINT, common
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, counted, parse_goal, print_json, refusal
-from hyperbit.controller.commands.connection import connected, read_payload
+from hyperbit.controller.commands.connection import connected
 from hyperbit.controller.commands.goal_rows import Orientation, goal_rows
 
 if TYPE_CHECKING:
@@ -53,12 +56,12 @@ def send(
         form = "X,Y[,TH] is needed, or in space X,Y,Z[,QX,QY,QZ,QW]"
         raise InputFaults(Path("--to"), [f"{to!r} is no goal; {form}: 2, 3 or 7 numbers"])
     if to is not None and numbers != 3:
-        goal["waypoints"] = [waypoint(*parse_goal(to, 2 if numbers < 3 else 3, "--to"))]
+        goal["waypoints"] = [waypoint(*parse_goal(to.split(","), 2 if numbers < 3 else 3, "--to"))]
     with connected(arm, connect, zenoh_file) as client:
         if pose is not None:
             goal = {**goal_of_pose(client, arm, pose), **goal}
         if to is not None and numbers == 3:  # X,Y,Z or X,Y,TH: the arm's dimension decides
-            goal["waypoints"] = [waypoint(*parse_goal(to, client.request("arm")["dimension"], "--to"))]
+            goal["waypoints"] = [waypoint(*parse_goal(to.split(","), client.request("arm")["dimension"], "--to"))]
         result = run_goal(client, goal, as_json)
     print_result(result, arm, as_json)
 
@@ -66,15 +69,15 @@ def send(
 def read_goal(file: Path) -> dict[str, Any]:
     """Returns the payload of a goal's file; its ending `.csv` tells the format."""
     if file.suffix.lower() != ".csv":
-        return read_payload(file, "goal", "waypoints")
+        return parse_payload(read_text(file), file, "goal", "waypoints")
     return {"waypoints": [waypoint(*row) for row in goal_rows(file, "t", seconds)]}
 
 
 def seconds(text: str, where: str) -> float:
     try:
-        return float(text)
-    except ValueError:
-        raise InputFaults(Path(where), [f"t is a time [s], got {text!r}"]) from None
+        return number(text, sys.float_info.max, 0.0)
+    except ValueError as error:
+        raise InputFaults(Path(where), [f"t [s]: {error}"]) from None
 
 
 def waypoint(position: list[float], orientation: Orientation, t: float | None = None) -> dict[str, Any]:

@@ -18,8 +18,9 @@ from rich.text import Text
 
 from hyperbit.controller.commands import ENDPOINT, common
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
-from hyperbit.controller.commands.common import CommandFailed, arm_name, print_json
-from hyperbit.controller.commands.connection import START, connected
+from hyperbit.controller.commands.common import CommandFailed, arm_name, drawn, print_json
+from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.network.endpoints import START
 
 COLOURS = {"ready": "green", "executing": "cyan", "starting": "yellow", "fault": "red", "stopped": "red"}
 
@@ -69,6 +70,15 @@ def where_of(state: dict[str, Any]) -> str:
     return "unknown" if tip is None else ", ".join(f"{x:.4f}" for x in tip["position"])
 
 
+def progress_of(state: dict[str, Any]) -> str:
+    """Returns reached waypoints and remaining time of the running goal; "" if none runs."""
+    if (progress := state.get("progress")) is None:  # an older daemon has no such field
+        return ""
+    remaining = progress["ends"] - state["stamp"]
+    left = f"{remaining:.1f} s left" if remaining >= 0 else f"{-remaining:.1f} s late"
+    return f"{progress['reached']} of {progress['waypoints']} waypoints, {left}"
+
+
 def reason_and_faults(state: dict[str, Any]) -> list[str]:
     """Returns the reason of a state's mode, then its faults with their codes; a fault that is the reason comes once."""
     faults = {f"{fault['code']}: {fault['message']}": fault["message"] for fault in state["faults"]}
@@ -105,19 +115,21 @@ class View:
         table = Table.grid(padding=(0, 2))
         table.add_row("mode", Text(state["mode"], style=f"bold {COLOURS[state['mode']]}"), state["reason"])
         table.add_row("tip", where_of(state), f"configuration {state['configuration'] or 'unknown'}")
-        waypoint = f"waypoint {(state['waypoint'] or 0) + 1}" if state["goal"] else ""
-        table.add_row("goal", state["goal"] or "none", waypoint)
+        table.add_row("goal", state["goal"] or "none", progress_of(state))
         return table
 
     def _actuators(self, state: dict[str, Any]) -> RenderableType:
         commanded = state["commanded"] or [None] * len(state["measured"])
         text = Text("actuators by module (base first, ")
-        text.append("▮ extended, ▯ contracted, ").append("? unknown, ", style="yellow")
+        extended, contracted = drawn("▮", "#"), drawn("▯", "-")
+        text.append(f"{extended} extended, {contracted} contracted, ").append("? unknown, ", style="yellow")
         text.append("red: not as commanded", style="red").append(")\n")
         for k, (wanted, is_) in enumerate(zip(commanded, state["measured"], strict=True)):
             text.append(" " if k in self._firsts else "")
             style = "red" if wanted is not None and is_ is not None and wanted != is_ else "none"
-            text.append("?" if is_ is None else "▮" if is_ else "▯", style="yellow" if is_ is None else style)
+            text.append(
+                "?" if is_ is None else extended if is_ else contracted, style="yellow" if is_ is None else style
+            )
         return text
 
     def _hardware(self, diagnostics: dict[str, Any]) -> RenderableType:

@@ -20,37 +20,25 @@ from hyperbit.drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlo
 
 @dataclass(frozen=True)
 class ExecutedArm:
-    """An arm of A actuators. Actuator k is bit k of integers of states and of masks.
-
-    Attributes:
-        actuators: label of each actuator, shape (A,).
-        inrush: most actuators that may switch at once; None: no limit.
-        rest: rest time of an actuator between two travels [s].
-        planner_timeout: after this silence of the planner the program ends and the arm holds [s].
-        locked, locked_states: mask and states of the actuators that the file declares stuck.
-        continue_on_stuck: lock a stuck actuator and continue, instead of staying in fault.
-        contract_on_stop: contract all actuators before the executor ends, in `ending` seconds at most.
-        digest: SHA-256 of the file, in hexadecimal.
-    """
+    """An arm of A actuators. Actuator k is bit k of integers of states and of masks."""
 
     name: str
-    actuators: tuple[str, ...]
+    actuators: tuple[str, ...]  # labels, shape (A,)
     wiring: Wiring
     timing: Timing
-    inrush: int | None = None
-    rest: float = 0.0
-    planner_timeout: float = 1.0
-    locked: int = 0
-    locked_states: int = 0
-    continue_on_stuck: bool = False
-    contract_on_stop: bool = False
-    ending: float = 10.0
+    inrush: int | None = None  # most actuators that may switch at once; None: no limit
+    rest: float = 0.0  # of an actuator between two travels [s]
+    planner_timeout: float = 1.0  # after this silence of the planner the program ends and the arm holds [s]
+    locked: int = 0  # mask of the actuators that the file declares stuck
+    locked_states: int = 0  # their states
+    continue_on_stuck: bool = False  # lock a stuck actuator and continue, instead of staying in fault
+    contract_on_stop: bool = False  # contract all actuators before the executor ends
+    ending: float = 10.0  # longest time of that contraction [s]
     real_time: RealTimeSettings | None = None
-    digest: str = ""
+    digest: str = ""  # SHA-256 of the file, in hexadecimal
 
     @property
     def most(self) -> int:
-        """Most actuators that may switch at once."""
         return len(self.actuators) if self.inrush is None else self.inrush
 
 
@@ -130,7 +118,6 @@ def channel_of(settings: ArmSettings, label: str, entry: ActuatorSettings) -> Ch
 
 
 def timing_of(settings: ArmSettings) -> Timing:
-    """Returns the times as the drivers need them."""
     boards = settings.boards
     return Timing(
         heartbeat=boards.heartbeat,

@@ -1,4 +1,4 @@
-"""Sets of actuators as masks, actuator k is bit k; and their kinds: what outputs command, and what end-stops tell."""
+"""Sets of actuators as masks, actuator k is bit k; and their kinds, which map states to outputs and end-stops."""
 
 from collections.abc import Iterable, Iterator
 from itertools import islice
@@ -45,11 +45,10 @@ class Kinds:
     Attributes:
         everything, paired, pulsed: masks of all actuators, of those with two outputs, and with pulsed outputs.
         ends_extended, ends_contracted, sensed: masks of those with an end-stop at this end, and at any end.
-        trusted: mask of those of which nothing tells whether they follow, as the arm's file says `verify: false`.
+        trusted: mask of actuators without verification (`verify: false` in the arm's file).
         pulse: length of the pulse by actuator index [s].
         travel: longest times to the contracted and to the extended end, shape (A, 2) [s].
         margin: settle margin, added to these times before an actuator counts as late, shape (A,) [s].
-        interlocks: in the order of their input lines.
     """
 
     def __init__(self, wiring: Wiring, timing: Timing) -> None:
@@ -68,11 +67,11 @@ class Kinds:
         self.margin = tuple(
             timing.settle_margin if channel.settle_margin is None else channel.settle_margin for channel in channels
         )
-        self.interlocks = wiring.interlocks
+        self.interlocks = wiring.interlocks  # in the order of their input lines
         self._first_interlock = self._size + len(self._ended)
 
     def outputs(self, states: int, on: int) -> int:
-        """Returns the outputs that command states. Of the paired actuators only those of the mask `on` have one on."""
+        """Returns the outputs for states. Of the paired actuators, only those of the mask `on` have an output on."""
         if not self.paired:
             return states
         return (states & (on | ~self.paired)) | self._off_lines(on & ~states)
@@ -93,7 +92,7 @@ class Kinds:
         return lines & self.everything | self.on(lines)[1]
 
     def states(self, outputs: int, before: int) -> int:
-        """Returns the states that outputs command; `before` where both outputs of a pair are off, or both on."""
+        """Returns the states for outputs; `before` where both outputs of a pair are off, or both on."""
         if not self.paired:
             return outputs & self.everything
         extending, contracting = self.on(outputs)
@@ -106,20 +105,20 @@ class Kinds:
         return Ends(inputs & self.ends_extended, mask_of(k for i, k in enumerate(self._ended) if contracted >> i & 1))
 
     def definite(self, ends: Ends) -> int:
-        """Returns the mask of the actuators whose end-stops tell a state.
+        """Returns the mask of the actuators whose end-stops show a state.
 
-        An actuator with two end-stops tells none between its ends, and none if both read 1.
+        Two end-stops show no state while the actuator is between its ends, or if both read 1.
         """
         both = self.ends_extended & self.ends_contracted
         return self.sensed & ~(both & ~(ends.extended ^ ends.contracted))
 
     def measured(self, ends: Ends, commanded: int) -> int:
-        """Returns the states that the end-stops tell; `commanded` where they tell none."""
+        """Returns the states that the end-stops show; `commanded` where they show none."""
         reads = merged(self.ends_extended, ends.extended, ~ends.contracted)
         return merged(self.definite(ends), reads, commanded)
 
     def open(self, inputs: int, known: int) -> list[Interlock]:
-        """Returns the interlocks that are open, by the levels of the known input lines."""
+        """Returns the open interlocks among the known input lines."""
         return [self.interlocks[i] for i in indices((known & ~inputs) >> self._first_interlock)]
 
     def _off_lines(self, actuators: int) -> int:

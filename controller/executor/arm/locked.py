@@ -10,16 +10,10 @@ from hyperbit.drivers.canopen.faults import ArmFault
 
 
 class LockedActuators:
-    """The locked actuators of one arm.
+    """The locked actuators of one arm: their mask, and their states, 0 elsewhere. `number` grows with each change.
 
     An actuator is locked by the arm's file, by a request, or after a stuck fault. An end-stop reading overrides a
-    declared state.
-
-    Attributes:
-        mask: of the locked actuators.
-        states: their states; 0 elsewhere.
-        number: grows with each change.
-        stuck: mask of the actuators that `lock_as_measured` locks.
+    declared state. `lock_as_measured` locks the actuators of the mask `stuck`.
     """
 
     def __init__(self, labels: Sequence[str], mask: int = 0, states: int = 0) -> None:
@@ -29,7 +23,7 @@ class LockedActuators:
     def refusal(self, actuator: int, state: int, measured: int, readable: int) -> Refusal | None:
         """Returns why an actuator cannot be locked in a state, or unlocked with state -1; None if it can.
 
-        `readable`: mask of the actuators whose end-stop can be read now.
+        `readable`: mask of the actuators with a readable end-stop.
         """
         if actuator >= len(self._labels):
             return Refusal(Reason.NO_SUCH_ACTUATOR, count=len(self._labels), index=actuator)

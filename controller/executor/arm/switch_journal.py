@@ -1,4 +1,4 @@
-"""The counts of an arm's switches, each of which is counted exactly once."""
+"""The counts of an arm's switches. Each switch is counted exactly once."""
 
 from collections.abc import Sequence
 
@@ -8,15 +8,12 @@ from hyperbit.controller.executor.arm.kinds import indices
 class SwitchJournal:
     """Counts the switches of A actuators in memory. `FileJournal` keeps them.
 
-    The intended states of a stage are recorded before its SYNC. A process that is killed after that cannot know whether
-    the SYNC was sent; the boards' outputs tell the next process.
-
-    Attributes:
-        counts: number of switches of each actuator, shape (A,).
+    The intended states of a stage are recorded before its SYNC. A process killed after that leaves unknown whether the
+    SYNC was sent; the next process finds out from the boards' outputs.
     """
 
     def __init__(self, actuators: int) -> None:
-        self.counts = [0] * actuators
+        self.counts = [0] * actuators  # number of switches of each actuator, shape (A,)
         self._intended = self._after = 0
 
     @property
@@ -30,7 +27,6 @@ class SwitchJournal:
         return SwitchJournal, (len(self.counts),), state
 
     def intend(self, before: int, after: int) -> None:
-        """Records the intention to switch from the states `before` to the states `after`."""
         self._intended, self._after = before ^ after, after
         self._write()
 

@@ -10,21 +10,15 @@ Role = Literal["planner", "operator"]
 
 
 class Clients:
-    """The connected clients, and whether the planner is alive.
-
-    Attributes:
-        planner: the connected planner; None if there is none.
-        roles: role of each client that has sent Hello.
-    """
+    """The connected clients, and whether the planner is alive."""
 
     def __init__(self, arm: str, timeout: float, send: Callable[[ClientId, Up], None]) -> None:
         self.planner: ClientId | None = None
-        self.roles: dict[ClientId, Role] = {}
+        self.roles: dict[ClientId, Role] = {}  # role of each client that has sent Hello
         self._arm, self._timeout, self._send = arm, timeout, send
         self._heard, self._silent = 0.0, False
 
     def to_planner(self, message: Up) -> None:
-        """Sends a message to the planner, if there is one."""
         if self.planner is not None:
             self._send(self.planner, message)
 

@@ -47,7 +47,7 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import FrameEchoed, FrameReceived
 
-LONGEST_TICK = 2 * TICK  # [s] that supervision counts at most, so that a late tick is no delay
+LONGEST_TICK = 2 * TICK  # [s], most time that supervision counts for a tick, so that a late tick is no delay
 DEFECT = ArmFault("internal-error", "executor", "internal error, see the log; the arm holds")
 
 
@@ -55,10 +55,8 @@ class Executor:
     """Runs motion programs on the boards of an arm.
 
     Args:
-        arm: the arm.
-        journal: counts switches.
         instance: random number that identifies this run.
-        watchdog: systemd's watchdog time [s]; None without a watchdog.
+        watchdog: systemd's watchdog time [s]; None: off.
         simulation: the simulated boards of this process; None: the boards are on CAN buses.
         build_master: returns the CANopen master; tests pass their own.
     """
@@ -86,10 +84,10 @@ class Executor:
         self._requests = ClientRequests(arm, motion, locked, modes, self._act, clients)
         self.ending = Ending(arm, motion, locked, modes, self._act)
         self._last_tick: float | None = None
-        self._awake = 0.0  # until the last tick [s]
+        self._awake = 0.0  # awake time until the last tick [s]
         self._next_beat = 0.0
         self._healthy = True
-        self._handed_out = False  # this step sends frames; the snapshot comes with the next step, to not delay them
+        self._handed_out = False  # this step sends frames, so the snapshot comes with the next step
 
     @property
     def ended(self) -> bool:
@@ -98,7 +96,7 @@ class Executor:
 
     @property
     def collecting(self) -> bool:
-        """Whether the echo of RPDOs is awaited, so that the next echo may release the SYNC."""
+        """Whether the echo of an RPDO is awaited; the next echo may release the SYNC."""
         return self._master.collecting
 
     @property
@@ -109,11 +107,8 @@ class Executor:
     def step(self, event: Event, now: float) -> list[Action]:
         """Handles an event of a bus, a client or the loop; returns the actions in their order.
 
-        An exception in one part of a step becomes the fault internal-error, and the arm holds.
-
-        Args:
-            event: the event.
-            now: CLOCK_MONOTONIC, or any clock that never goes back [s].
+        An exception in one part of a step becomes the fault internal-error, and the arm holds. `now`: on
+        CLOCK_MONOTONIC, or another clock that never goes back [s].
         """
         self._healthy, self._handed_out = True, False
         late = 0.0 if self._last_tick is None else min(now - self._last_tick, LONGEST_TICK)
@@ -127,13 +122,13 @@ class Executor:
         return actions
 
     def _fail(self, text: str, now: float) -> None:
-        """Holds after a defect, which is logged once, not at each tick."""
+        """Holds after a defect. The defect is logged once, not at each tick."""
         self._healthy = False
         self.modes.report(DEFECT, Log(logging.ERROR, f"internal error\n{text}"))
         self.modes.fail(DEFECT, now)
 
     def _find_pause(self, event: Event, now: float) -> None:
-        """Checks first whether the process has paused: then the waiting events are stale."""
+        """Tests first whether the process has paused: then the waiting events are stale."""
         if self._last_tick is not None and (fault := self._master.find_pause(now)) is not None:
             self.modes.fail(fault, now)
 
@@ -162,9 +157,9 @@ class Executor:
         """Records what the event has changed on the boards."""
         at = None  # time of its frame on the bus [s]
         if isinstance(event, FrameEchoed | FrameReceived):
-            if isinstance(event, FrameEchoed) and self._master.collecting:  # one echo of many, nothing has changed
+            if isinstance(event, FrameEchoed) and self._master.collecting:  # one echo of several; nothing has changed
                 return
-            # The time of an SDO answer tells nothing: the board is asked after the end-stop has changed.
+            # An SDO answer has no useful time: the end-stop changed before the question.
             if event.frame.id & 0x780 != cia301.SDO_ANSWER:
                 at = now if event.at is None else min(event.at, now)
         self.modes.update(now)
@@ -174,7 +169,7 @@ class Executor:
             self.modes.fail(fault, now)
 
     def _tell(self, event: Event, now: float) -> None:
-        """Answers requests that waited, and shows changes."""
+        """Answers requests that waited, and publishes changes."""
         if self._requests.held:
             self._requests.answer_held(now)
         if self.reports.changed and self._last_tick is not None and not self._handed_out and not self.collecting:
@@ -193,6 +188,7 @@ class Executor:
         self._master.tick(now)
         self._conclude(event, now)
         self.motion.actuation.tick(now)
+        self.modes.update(now)  # a pulse that was missed may be a fault
         for fault in self.motion.actuation.find_overdue(now):
             self.modes.fail(fault, now)
         for actuator, fault in self.motion.supervision.tick(self.motion.clock, now):
@@ -250,9 +246,9 @@ class Executor:
         self.reports.changed = True
 
     def _lose_planner(self, why: str) -> None:
-        """Ends what the planner asked for, and begins an epoch: the socket may hold requests planned before.
+        """Ends the planner's motion, and begins an epoch: the socket may hold requests planned before.
 
-        At the end of the executor nothing that the planner asked for runs any more.
+        At the end of the executor none of the planner's motion runs any more.
         """
         self.modes.new_epoch()
         if not self.ending.begun:

@@ -1,4 +1,4 @@
-"""The end of the executor: contracts the arm first if `on_stop` says so, and warns of what the boards do after it."""
+"""The end of the executor: contracts the arm if `on_stop` says so, and warns of the boards' later behaviour."""
 
 import logging
 
@@ -14,18 +14,16 @@ from hyperbit.controller.program import Setpoint, pack
 
 
 class Ending:
-    """Contracts the arm before the executor ends, with `on_stop: contract`; otherwise warns of what the boards will do.
+    """Contracts the arm before the executor ends, with `on_stop: contract`; otherwise warns what the boards will do.
 
-    Attributes:
-        begun: whether the end was requested.
-        timeout: longest time of the contraction [s].
+    `begun`: the end was requested. `timeout`: longest time of the contraction [s].
     """
 
     def __init__(self, arm: ExecutedArm, motion: ArmMotion, locked: LockedActuators, modes: Modes, act: Act) -> None:
         self.begun, self.timeout = False, 0.0
         self._arm, self._motion, self._locked, self._modes, self._act = arm, motion, locked, modes, act
         self._contracting = self._pulsing = False
-        self._stream: SetpointStream | None = None  # that contracts the arm, once it has begun
+        self._stream: SetpointStream | None = None  # contracts the arm; None before its start
         levels, pairs = arm.wiring.loss_levels, dict(enumerate(arm.wiring.paired, len(arm.actuators)))
         self._let_go = sum(levels[k] == 0 and k not in pairs.values() for k in range(len(arm.actuators)))
         self._let_go += sum(levels[line] == 1 for line in pairs)
@@ -36,7 +34,7 @@ class Ending:
         return self.begun and not (self._contracting or self._motion.committing or self._pulsing)
 
     def _may_pulse(self, now: float) -> bool:
-        """Returns whether a pulse is on, or may be begun by a commit that is under way."""
+        """Returns whether a pulse is on, or a commit under way may begin one."""
         return self._motion.committing or self._motion.actuation.pulsing(now)
 
     def warning(self) -> str | None:
@@ -82,7 +80,7 @@ class Ending:
             modes.hold("done", "", "contracted before the end of the executor")
 
     def abandon(self) -> None:
-        """Ends a contraction that is not complete, and says why."""
+        """Ends an incomplete contraction, and says why."""
         if self._contracting:
             self._contracting = False
             modes = self._modes
@@ -92,7 +90,7 @@ class Ending:
     def _contract(self) -> None:
         """Starts to contract all actuators but the locked ones, as many at once as `inrush` permits.
 
-        A commit that is under way ends first: until then the states are not known.
+        A commit under way ends first: until then the states are unknown.
         """
         if self._motion.busy:
             return
@@ -105,7 +103,7 @@ class Ending:
         message = Setpoint(0, 0, pack(states, size), tuple(stages), 1e15, strict=False, reason=reason)
         stream = SetpointStream(message, self._arm.most, self._locked, size)
         if not stages and not self._motion.readings.homing:
-            self._contracting = False
+            self._contracting = self._motion.moving  # a program may have contracted the last actuator just before
             return
         if not stages:  # only actuators of unknown state: homing them is enough
             stream.stages = [stream.start]

@@ -17,11 +17,11 @@ class ClientId(NamedTuple):
 
 
 class ExecutorTick(NamedTuple):
-    """A control period has begun."""
+    pass
 
 
 class Health(NamedTuple):
-    """Figures of the process, once a second; answered by `Diagnostics` to all clients; see there."""
+    """Figures of the process, once a second; the core answers with `Diagnostics` to all clients."""
 
     loop: dict[str, float]
     dropped: int
@@ -38,7 +38,7 @@ class ClientGone(NamedTuple):
 
 
 class FaultPlayed(NamedTuple):
-    """The answer to `ToSimulation`: what was done, or why it is not played."""
+    """The answer to `ToSimulation`: what was done, or why the fault was refused."""
 
     client: ClientId
     request: int
@@ -68,7 +68,7 @@ class ToClient(NamedTuple):
 
 
 class ToSimulation(NamedTuple):
-    """A fault that a client wants to be played in simulated boards; answered by `FaultPlayed`."""
+    """A client's fault for simulated boards; answered by `FaultPlayed`."""
 
     client: ClientId
     request: int

@@ -13,21 +13,12 @@ from hyperbit.controller.program import Mode
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.run.master import Master
 
-RETRY = 1.0  # [s] between two attempts to leave a fault that clears by itself, and before the first one
+RETRY = 1.0  # [s] before each attempt to leave a fault that clears by itself
 # Codes of faults that clear by themselves; `continue_on_stuck` adds one.
 CLEARING = frozenset({"bus-down", "bus-off", "bus-busy", "board-lost", "board-missing", "pulse-overdue"})
 
 
 class Modes:
-    """The mode and the active faults.
-
-    Attributes:
-        reason: a sentence on the mode.
-        epoch: grows with each cancel, stop, reset, fault, change of the locked actuators, end of a boot, and loss of
-            the planner.
-        faults: active faults by code and source, in the order of their reports.
-    """
-
     def __init__(
         self,
         master: Master,
@@ -39,8 +30,11 @@ class Modes:
         simulated: bool,
     ) -> None:
         self.mode: Mode = "starting"
-        self.reason = "the boards are being booted"
+        self.reason = "the boards are being booted"  # a sentence on the mode
+        # grows with each cancel, stop, reset, fault, change of the locked actuators, end of a boot, and loss of the
+        # planner
         self.epoch = 1
+        # active faults by code and source, in the order of their reports
         self.faults: dict[tuple[str, str], ArmFault] = {}
         self._master, self._motion, self._locked, self._reports, self._act = master, motion, locked, reports, act
         self._clearing, self.simulated = clearing, simulated
@@ -60,10 +54,10 @@ class Modes:
         self._act(Notify(f"STATUS={self.mode}{' (simulated)' * self.simulated}: {self.reason}"))
 
     def hold(self, status: str, message: str, reason: str, mode: Mode = "ready") -> None:
-        """Ends what runs, gives up the frames that wait, and enters a mode. Every end of a motion comes here.
+        """Ends motion, gives up waiting frames, and enters a mode. Every end of a motion uses this method.
 
-        Boards keep what they have latched, and the next commit replaces it before its SYNC. What was handed out
-        already and switches, `Actuation.under_way`, cannot be given up.
+        Boards keep what they have latched, and the next commit replaces it before its SYNC. Frames under way that
+        switch, `Actuation.under_way`, cannot be given up.
 
         `status` and `message` are those of the result of a program. Mode "ready" is entered from "executing" only,
         since the arm holds in the other modes.
@@ -74,12 +68,12 @@ class Modes:
             self.enter(mode, reason)
 
     def run(self, execution: ProgramExecution) -> None:
-        """Starts a program in place of what runs. Every program begins here."""
+        """Starts a program in place of the present motion. Every program begins here."""
         self._motion.run(execution)
         self.enter("executing", execution.program.name)
 
     def follow(self, stream: SetpointStream) -> None:
-        """Follows a set-point in place of what runs. Every set-point comes here."""
+        """Follows a set-point in place of the present motion. Every set-point begins here."""
         self._motion.follow(stream)
         if (self.mode, self.reason) != ("executing", stream.reason):
             self.enter("executing", stream.reason)
@@ -98,7 +92,7 @@ class Modes:
         self._begin_boot(now)
 
     def update(self, now: float) -> None:
-        """Takes the master's faults, and finds the end of a boot. Call after each event."""
+        """Reads the master's faults, and detects the end of a boot. Call after each event."""
         for fault in self._master.drain_faults():
             self.fail(fault, now)
         if self._waits:
@@ -112,7 +106,7 @@ class Modes:
                 self.fail(fault, now)
 
     def fail(self, fault: ArmFault, now: float) -> None:
-        """Ends the program and enters mode fault; during a boot, the end of the boot enters it."""
+        """Ends the program and enters mode fault. During a boot, the end of the boot enters it."""
         self.report(fault)
         if self.mode in ("ready", "executing") or (self.mode == "starting" and not self._booting):
             self._enter_fault(fault.message, fault.message, now)
@@ -120,7 +114,7 @@ class Modes:
             self.hold("aborted", fault.message, self.reason, self.mode)
 
     def report(self, fault: ArmFault, line: Log | None = None) -> None:
-        """Adds a fault, and logs a new one, in other words if `line` is given."""
+        """Adds a fault, and logs a new one; `line` replaces the log text."""
         key = fault.code, fault.source
         if key not in self.faults:
             self.faults[key] = fault
@@ -145,11 +139,11 @@ class Modes:
         self.enter("ready", f"holding what the boards measured{locked}")
 
     def _begin_boot(self, now: float) -> None:
-        """Starts the master's boot when no switch is under way, and no pulse is on: the boot would delay its end."""
+        """Starts the master's boot when no switch is under way and no pulse is on: the boot would delay its end."""
         actuation = self._motion.actuation
         if not actuation.pulsing(now) and not actuation.under_way:
             self._waits = False
-            actuation.told = 0  # overdue pulses are told again: the boot may fail before the next period
+            actuation.told = 0  # overdue pulses are reported again: the boot may fail before the next period
             self._master.boot(now)
 
     def _booted(self, now: float) -> None:

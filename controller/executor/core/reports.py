@@ -18,7 +18,7 @@ MOST_FAULTS, MOST_TEXT = 50, 300  # faults, and characters of each, so that a sn
 
 
 class Reports:
-    """Makes snapshots and diagnostics when they are due. `changed`: something has changed since the last snapshot."""
+    """Makes snapshots and diagnostics when they are due. `changed`: the state differs from the last snapshot."""
 
     def __init__(
         self, arm: ExecutedArm, master: Master, motion: ArmMotion, locked: LockedActuators, journal: SwitchJournal

@@ -40,9 +40,9 @@ from hyperbit.controller.refusals.refusal import Refusal, no_motion
 
 
 class HeldAnswer(NamedTuple):
-    """An answer to a stop or cancel that waits until nothing can switch any more, until a time at the latest [s].
+    """A delayed answer to a stop or cancel. It is sent when nothing can switch any more, at `until` [s] at the latest.
 
-    It says what was done, and what follows. `switches`: number of switches of the executor when the request came.
+    `switches`: the executor's number of switches when the request came.
     """
 
     client: ClientId
@@ -54,12 +54,7 @@ class HeldAnswer(NamedTuple):
 
 
 class ClientRequests:
-    """Handles the messages of accepted clients.
-
-    Attributes:
-        quitting: the executor is ending; it accepts no more programs and set-points.
-        held: answers that wait.
-    """
+    """Handles the messages of accepted clients. While `quitting`, it accepts no programs and set-points."""
 
     def __init__(
         self, arm: ExecutedArm, motion: ArmMotion, locked: LockedActuators, modes: Modes, act: Act, clients: Clients
@@ -68,8 +63,8 @@ class ClientRequests:
         self._arm, self._motion, self._locked, self._modes, self._act = arm, motion, locked, modes, act
         self._size = len(arm.actuators)
         self._program = self._stream = 0  # greatest numbers so far
-        self.held: list[HeldAnswer] = []
-        # [s] for which an answer waits, until a tick at the latest
+        self.held: list[HeldAnswer] = []  # delayed answers
+        # longest wait of an answer, rounded down to a tick [s]
         self._longest = arm.timing.heartbeat_timeout / 2 - 2 * TICK
 
     @property
@@ -117,7 +112,6 @@ class ClientRequests:
         self._clients.to_planner(Accepted(message.program, begin))
 
     def _refusal(self, message: Program, now: float) -> Refusal | None:
-        """Returns why a program is declined, or None."""
         if self.quitting:
             return Refusal(Reason.EXECUTOR_SHUTTING_DOWN)
         if self._modes.mode not in ("ready", "executing"):
@@ -191,14 +185,14 @@ class ClientRequests:
         )
 
     def _hold_answer(self, client: ClientId, request: int, done: str, follows: str, now: float) -> None:
-        self._motion.conclude(None, now)  # what was switched before the request is not "under way"
+        self._motion.conclude(None, now)  # switches before the request are not "under way"
         held = HeldAnswer(client, request, done, follows, self._motion.actuation.switches, now + self._longest)
         self.held.append(held)
 
     def answer_held(self, now: float) -> None:
-        """Answers each stop and cancel as soon as no frame that was handed out can switch an actuator any more.
+        """Answers each stop and cancel as soon as no frame under way can switch an actuator any more.
 
-        A bus that has not sent these frames after a part of `heartbeat_timeout` delays no answer: the answer tells so.
+        A bus that has not sent these frames after a part of `heartbeat_timeout` delays no answer; the answer says so.
         Call after each event while answers are held.
         """
         leaving = self._motion.actuation.under_way.bit_count()

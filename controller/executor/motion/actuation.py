@@ -9,42 +9,35 @@ from hyperbit.drivers.canopen.faults import ArmFault, Busy
 from hyperbit.drivers.canopen.run.master import Master
 
 BUSY_FOR = 0.25  # [s]; a bus that accepts no command for longer is a fault
-LATE = 0.1  # [s] after its end at which a pulse is overdue, and no longer waited for: its bus accepts no frames
-EARLY = 0.004  # [s] that a pulse may end early; without it a slow bus could make a pulse longer by a whole period
+LATE = 0.1  # [s] after its end a pulse is overdue. Nothing waits for it any longer: its bus accepts no frames
+EARLY = 0.004  # [s] by which a pulse may end early; otherwise a slow bus could add a whole period
 
 
 class Actuation:
     """Switches the outputs of the boards.
 
     `tick` switches a pulsed output off when its pulse ends, in every mode. The state of an actuator with two outputs is
-    uncertain while both outputs are off and the last one that was on is unknown. This is so after a start of the
+    uncertain while both outputs are off and the last one that was on is unknown. This happens after a start of the
     executor, after a restart of the board, and after a pulse that was over before it was read back.
-
-    Attributes:
-        free_at: when the last switched actuator has settled, by its travel time [s].
-        target: states of the running commit; None if no commit runs.
-        uncertain: mask of the actuators of unknown state; their bits of `states` are guesses.
-        missed: mask of those among them whose last pulse was missed: nothing tells whether it was on.
-        switches: number of switches since the executor started.
-        busy_since: when a bus accepted no command for the first time [s]; None: nothing waits to be switched.
-        fault: set if the bus accepted no command for BUSY_FOR; cleared by the caller that reports it.
     """
 
     def __init__(self, master: Master, arm: ExecutedArm, kinds: Kinds, journal: SwitchJournal) -> None:
-        self.free_at = 0.0
-        self.target: int | None = None
-        self.uncertain = kinds.paired
-        self.missed = 0
-        self.switches = 0
+        self.free_at = 0.0  # when the last switched actuator has settled, by its travel time [s]
+        self.target: int | None = None  # states of the running commit; None if no commit runs
+        self.uncertain = kinds.paired  # mask of the actuators of unknown state; their bits of `states` are guesses
+        self.missed = 0  # mask of uncertain actuators whose last pulse was not confirmed
+        self.switches = 0  # number of switches since the executor started
+        # set if the bus accepted no command for BUSY_FOR; cleared by the caller that reports it
         self.fault: ArmFault | None = None
         self._master, self._arm, self._kinds, self._journal = master, arm, kinds, journal
         self._arrives_at = [-1e12] * len(arm.actuators)
-        self._states = 0  # last states; they count for paired actuators whose outputs are both off
+        self._states = 0  # last states, valid for paired actuators with both outputs off
         self._adopted: int | None = None  # states as adopted or switched since; None before the first adoption
+        # when a bus accepted no command for the first time [s]; None: nothing waits to be switched
         self.busy_since: float | None = None
         self._pulse_ends = dict.fromkeys(kinds.pulse, -math.inf)
-        self._watched = 0  # mask of the actuators whose pulse is not known to have ended
-        self.told = 0  # mask of those that are reported as overdue
+        self._watched = 0  # mask of the actuators without a confirmed end of their pulse
+        self.told = 0  # mask of the actuators reported as overdue
         self._adopted_at = -math.inf
         self._doubtful = 0  # mask of the paired actuators that the running commit energises
         self._given_up = False  # the running commit is not wanted any more
@@ -57,7 +50,7 @@ class Actuation:
 
     @property
     def under_way(self) -> int:
-        """Mask of the actuators that frames already handed out will switch."""
+        """Mask of the actuators that frames under way will switch."""
         leaving = self._master.leaving
         if not leaving:
             return 0
@@ -68,7 +61,7 @@ class Actuation:
 
     @property
     def unproven(self) -> int:
-        """Mask of the switched actuators of which neither an end-stop nor their outputs, read back, has told yet."""
+        """Mask of the switched actuators that neither an end-stop nor a read-back of outputs has confirmed."""
         unread = self._master.unread
         return self._kinds.actuators(unread) | self.missed if unread or self.missed else 0
 
@@ -112,7 +105,7 @@ class Actuation:
         return True
 
     def give_up(self, why: str) -> None:
-        """Gives up the running commit if its SYNC was not handed out. `under_way` tells what still switches."""
+        """Gives up the running commit if its SYNC was not handed out. `under_way` has the lines that still switch."""
         if self.target is not None:
             self._given_up = True
             self._master.give_up(why)
@@ -120,7 +113,8 @@ class Actuation:
     def tick(self, now: float) -> None:
         """Switches off the outputs whose pulse is over, and those that may still be on; in every mode, every period.
 
-        What a bus does not take now, the next tick sends. A board without its master switches its outputs off itself.
+        A frame that a bus refuses now is sent at the next tick. A board without its master switches its outputs off
+        itself.
         """
         if not self._kinds.paired:
             return
@@ -133,7 +127,7 @@ class Actuation:
             self._master.commit(self._kinds.without(possible, over) & ~doubtful, now, release=True)
 
     def find_overdue(self, now: float) -> list[ArmFault]:
-        """Returns a fault for each pulse that was not read back off in time, once until the next boot has ended."""
+        """Returns a fault for each pulse that was not read back as off in time, once until the next boot has ended."""
         if not self._watched or self._master.booting:
             self.told = 0
             return []
@@ -145,7 +139,7 @@ class Actuation:
         return [self._overdue(k) for k in due]
 
     def record_switched(self, lines: int, now: float) -> int:
-        """Records that the SYNC of output lines was sent; returns the mask of the actuators that it moves."""
+        """Records that the SYNC of output lines was sent; returns the mask of the moving actuators."""
         extending, contracting = self._kinds.on(self._master.outputs & lines)
         energised = (extending ^ contracting) & self._kinds.paired
         states = self.states
@@ -157,14 +151,14 @@ class Actuation:
         self.missed &= ~energised
         self._doubtful &= ~energised
         self._states = states
-        if self._adopted is not None:  # a pulse that a start finds may end before the first adoption
+        if self._adopted is not None:  # a pulse found at the start may end before the first adoption
             self._adopted = states
         self._record_moved(moved, now)
         self.switches += moved.bit_count()
         return moved
 
     def conclude(self, now: float) -> int | None:
-        """Counts the switches of a commit that has ended; returns its states if the outputs stand for them now."""
+        """Counts the switches of a commit that has ended; returns its states if the outputs match them."""
         if self.target is None or self._master.committing or not self._master.outputs_known:
             return None
         states, self.target = self.target, None
@@ -218,7 +212,7 @@ class Actuation:
         return lines
 
     def _find_missed(self) -> None:
-        """Finds actuators whose last pulse nobody has seen: their state is unknown, unless another pulse is on."""
+        """Detects actuators whose last pulse was not confirmed: their state is unknown, unless another pulse is on."""
         if missed := self._master.drain_missed():
             self.missed |= self._kinds.actuators(missed) & ~self._kinds.actuators(self._master.outputs)
             self.uncertain |= self.missed

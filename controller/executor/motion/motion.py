@@ -1,4 +1,4 @@
-"""The motion on the boards: the running program, or the set-point that is followed; never both."""
+"""The motion on the boards: the running program, or the followed set-point; never both."""
 
 from collections.abc import Callable
 
@@ -24,16 +24,12 @@ REALIGNMENT = -1  # in place of the index of a stage
 
 
 class ClearanceQuestions:
-    """Questions to the planner, one at a time: does a stage touch an obstacle, if it begins from unplanned states?
-
-    Attributes:
-        touched: what the stage of the last question touches, in words; None if the stage is clear.
-        waits: number of periods in which the arm waited for an answer.
-    """
+    """Questions to the planner, one at a time: does a stage touch an obstacle if it begins from unplanned states?"""
 
     def __init__(self, send: Callable[[Up], None], actuators: int) -> None:
+        # what the stage of the last question touches, in words; None if the stage is clear
         self.touched: str | None = None
-        self.waits = 0
+        self.waits = 0  # number of periods in which the arm waited for an answer
         self._send, self._actuators = send, actuators
         self._number = 0
         self._way: tuple[int, int] | None = None
@@ -45,7 +41,7 @@ class ClearanceQuestions:
         return self._way is not None and not self._answered
 
     def ask(self, start: int, stage: int, now: float) -> bool:
-        """Asks the planner about `stage` from `start`, once; returns whether the answer is there, in `touched`."""
+        """Asks the planner about `stage` from `start`, once; returns whether `touched` has the answer."""
         if (start, stage) != self._way:
             self._number += 1
             self._way, self._answered, self._asked_at = (start, stage), False, now
@@ -56,7 +52,6 @@ class ClearanceQuestions:
         return self._answered
 
     def receive_answer(self, message: Clearance) -> None:
-        """Takes the planner's answer; ignores an answer to an earlier question."""
         if message.question == self._number and self._way is not None:
             self._answered, self.touched = True, message.touched
 
@@ -65,13 +60,7 @@ class ClearanceQuestions:
 
 
 class ArmMotion:
-    """Switches the boards to the stages of the running program or stream, and supervises the actuators.
-
-    Attributes:
-        execution: progress of the running program; None if none runs.
-        stream: stream of set-points; None if none is followed.
-        clock: awake time of the executor at the last event [s].
-    """
+    """Switches the boards to the stages of the running program or stream, and supervises the actuators."""
 
     def __init__(
         self,
@@ -90,7 +79,7 @@ class ArmMotion:
         self.readings = Readings(master, self.kinds, self.actuation, locked)
         self._travel_times = TravelTimes()
         self.clearances = ClearanceQuestions(send, len(arm.actuators))
-        self.clock = 0.0
+        self.clock = 0.0  # awake time of the executor at the last event [s]
         self._arm, self._master, self._locked, self._results, self._send = arm, master, locked, results, send
         self._index, self._before = 0, 0  # the stage whose commit runs; states before it
         self._homes = False  # whether actuators of unknown state travel to a known one
@@ -112,14 +101,14 @@ class ArmMotion:
         return self.busy and self._master.committing
 
     def adopt(self, now: float) -> None:
-        """Adopts outputs and end-stops as they are now; switches nothing."""
+        """Adopts the present outputs and end-stops; switches nothing."""
         self._travel_times.forget(-1)
         self.actuation.adopt(self.readings.read, self.readings.definite, now)
 
     # --- begin and end
 
     def run(self, execution: ProgramExecution) -> None:
-        """Starts a program in place of what runs. Only `Modes.run` calls this, since the mode changes too."""
+        """Starts a program in place of the present motion. Only `Modes.run` calls this, since the mode changes too."""
         self.end("replaced", f"replaced by {execution.program.name}")
         self.execution = execution
 
@@ -150,7 +139,7 @@ class ArmMotion:
             self.send_result()
 
     def send_result(self) -> None:
-        """Sends the result of a program that has ended, if it was not sent."""
+        """Sends the result of an ended program, once."""
         if self._ended is not None:
             execution, status, message = self._ended
             self._ended = None
@@ -186,7 +175,7 @@ class ArmMotion:
             self._record_reached(reached, now)
 
     def advance(self, now: float) -> End | None:
-        """Starts what is due; returns an end if the program or stream has ended by itself."""
+        """Starts due actions; returns an end if the program or stream has ended by itself."""
         if self.stream is not None:
             return self._advance_stream(self.stream, now)
         execution = self.execution
@@ -208,7 +197,7 @@ class ArmMotion:
         """Sets the outputs of locked actuators to their locked states, and homes others, before any stage.
 
         A locked actuator that comes loose then stays in its locked state. A missed pulse is given again. Actuators of
-        unknown state in the mask `homed` are homed to `target`. Returns whether this is done: a stage may begin.
+        unknown state in the mask `homed` are homed to `target`. Returns whether a stage may begin.
         """
         before, most, missed = self.actuation.states, self._arm.most, self.actuation.missed
         states = self._locked.realigned(before, most)
@@ -256,14 +245,14 @@ class ArmMotion:
         elif now < self.actuation.free_at or self.moving:
             return None
         elif not self._begin_stage(index, stream.start, stream.stages[index], stream.strict, now):
-            stream.stages = []  # the planner's follower must find other stages
+            stream.stages = []  # the planner must find other stages
         return None
 
     def _begin_stage(self, index: int, planned: int, states: int, strict: bool, now: float) -> bool:
-        """Starts the switch of a stage to `states` if it may begin now; else the next tick tries again.
+        """Starts the switch of a stage to `states` if it may begin now; otherwise the next tick tries again.
 
         A strict stage begins only when nothing moves, and from the states from which it was planned, unless the planner
-        knows that it is clear. Returns False if it touches what `clearances.touched` says.
+        knows that it is clear. Returns False if it touches an obstacle; then `clearances.touched` names it.
         """
         self._index, self._before = index, self.actuation.states
         if strict and (self.moving or self.actuation.unproven):

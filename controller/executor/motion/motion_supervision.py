@@ -15,9 +15,9 @@ class MotionSupervision:
     """Compares the commanded states of A actuators with their end-stops.
 
     An end-stop reads 1 only while the actuator is at its end. An actuator has arrived when the end-stop at its new end
-    reads 1 and the one at its old end reads 0. At an end without an end-stop, the travel time decides. No reading is a
-    fault at once: a contact may bounce, and a TPDO may be lost. First the board of the actuator is asked for its inputs
-    by SDO, and has answered or has not answered in time.
+    reads 1 and the one at its old end reads 0. At an end without an end-stop, the travel time decides. One wrong
+    reading is not yet a fault: a contact may bounce, and a TPDO may be lost. First the board of the actuator is asked
+    for its inputs by SDO; the fault waits for the answer or its time-out.
 
     `clock`: awake time of the executor [s]; a stall of its loop is no delay of an actuator. `now`: for questions [s].
     `places`: label and wiring of each actuator for messages, shape (A,).
@@ -35,14 +35,14 @@ class MotionSupervision:
         return self._kinds.ends(self._boards.ends)
 
     def reset(self, states: int, known: int, clock: float) -> None:
-        """Forgets all motions and reports, and takes `states` as commanded where known.
+        """Forgets all motions and reports; `states` are commanded where known.
 
         An actuator between its two end-stops counts as moving.
         """
         ends = self._ends
         self._commanded, self._commanded_known = states, known
         self._reported = self._suspect = self._final = self._doubtful = 0
-        self._strayed = 0  # actuators that seem to move without a command, and whose boards were asked
+        self._strayed = 0  # mask of actuators that seem to move without a command; their boards were asked
         self._last = ends
         self._missed = [0] * len(self._places)
         self._pending = self._confirms = self._late(ends) & ~ends.extended & ~ends.contracted & known
@@ -51,12 +51,11 @@ class MotionSupervision:
             self._ask_at[k] = clock + self._travel(k)
 
     def accept(self, states: int, known: int) -> None:
-        """Takes `states` as commanded, except for moving actuators: those cannot stop between their ends."""
+        """Sets `states` as commanded, except for moving actuators: those cannot stop between their ends."""
         self._commanded = merged(self._pending, self._commanded, states)
         self._commanded_known = merged(self._pending, self._commanded_known, known)
 
     def record_switched(self, mask: int, states: int, clock: float, now: float) -> None:
-        """Records that the actuators of a mask were switched to `states`."""
         ends = self._ends
         self._count_missed(mask, ends, clock, now)
         self._commanded = merged(mask, states, self._commanded)
@@ -139,7 +138,7 @@ class MotionSupervision:
         return self._awaited(ends) | self._at_other_end(ends)
 
     def _confirm(self, suspects: int, asked: int, now: float) -> tuple[int, int]:
-        """Asks the boards of actuators whose end-stops read what they should not, unless they were asked before.
+        """Asks the boards of actuators with unexpected end-stop readings for their inputs, once.
 
         Returns the mask of the actuators that read the same after the answer, and of those that wait for it.
         """
@@ -149,7 +148,7 @@ class MotionSupervision:
         return certain, suspects & ~certain
 
     def _find_stuck(self, late: int, clock: float, now: float) -> int:
-        """Asks the boards of overdue actuators; returns the mask of those found stuck, which move no more."""
+        """Asks the boards of overdue actuators; returns the mask of the stuck ones, which are no longer moving."""
         stuck = 0
         for k in indices(self._pending):
             bit, over = 1 << k, clock - self._switched_at[k] - self._travel(k)
@@ -195,7 +194,7 @@ class MotionSupervision:
         self._last = ends
 
     def _question(self, actuator: int, now: float) -> None:
-        """Asks the boards of an actuator's end-stops for their inputs, after running questions once more."""
+        """Asks the boards of an actuator's end-stops for their inputs, again after running questions."""
         for board in self._boards.input_boards_of[actuator]:
             self._boards.question(board, now)
 

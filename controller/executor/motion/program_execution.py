@@ -28,7 +28,7 @@ STARVED = f"the planner sent no further stages for {FED_WITHIN:g} s"
 
 
 class End(NamedTuple):
-    """How a program or stream has ended by itself: status and message of the result, and a reason for the mode."""
+    """How a program or stream ended by itself; `reason` is for the mode."""
 
     status: str
     message: str
@@ -36,7 +36,7 @@ class End(NamedTuple):
 
 
 class StageMisfit(ValueError):
-    """Stages do not fit the arm or the running program; the text says why; `locked`: for a locked actuator."""
+    """Stages do not fit the arm or the running program; the text says why. `locked`: because of a locked actuator."""
 
     def __init__(self, reason: str, locked: bool = False) -> None:
         super().__init__(reason)
@@ -51,11 +51,7 @@ class ProgramExecution:
         begun: index of the last stage whose commit was begun; -1 before the first. It can no longer be replaced.
         taken: index of the last stage that the outputs have reached; -1 before the first.
         mark: the last mark reached; -1 before the first.
-        switches: number so far.
         stages: number of stages that switched something since the previous mark.
-        planned: whether all stages since the previous mark were taken as planned.
-        travels: travel times measured so far.
-        verified: whether something tells that each switched actuator has followed.
         strict: no stage is skipped, and none begins before the previous one has settled.
         final: no more stages will come.
     """
@@ -65,9 +61,9 @@ class ProgramExecution:
         self.strict, self.final = program.strict, program.final
         self.begun = self.taken = self.mark = -1
         self.switches = self.stages = 0
-        self.planned = True
-        self.travels: list[Travel] = []
-        self.verified = True
+        self.planned = True  # whether all stages since the previous mark were taken as planned
+        self.travels: list[Travel] = []  # travel times measured so far
+        self.verified = True  # whether an end-stop or a read-back has confirmed each switched actuator
         self._generation = -1
         self._stages = list(program.stages)
         self._locked = locked
@@ -75,7 +71,7 @@ class ProgramExecution:
         self._at = [stage.at for stage in program.stages]
         self._start = locked.aligned(unpack(program.start))
         self._settles: float | None = None  # when the mark reached settles [s]
-        self._waits_since: float | None = None  # for its next stages, after all others [s, awake time]
+        self._waits_since: float | None = None  # start of the wait for further stages [s, awake time]
 
     def state(self, index: int) -> int:
         """Returns the states at the end of a stage; those from which the program was planned for stage -1."""
@@ -96,7 +92,8 @@ class ProgramExecution:
     def due(self, now: float, outputs: int, most: int) -> int | None:
         """Returns the index of the stage to switch to now, or None. Overdue stages are skipped, unless `strict`.
 
-        The latest due stage within `most` switches from the commanded states `outputs` is returned, else the next one.
+        The result is the latest due stage within `most` switches from the commanded states `outputs`, otherwise the
+        next one.
         """
         following = self.taken + 1
         latest = bisect_right(self._at, now - self.begin + EPSILON, lo=following) - 1
@@ -150,11 +147,7 @@ class ProgramExecution:
         return End("aborted", f"{STARVED}; the arm holds", f"holding; {name} was aborted: {STARVED}")
 
     def replace(self, message: Replacement, most: int, actuators: int) -> None:
-        """Replaces the stages from `message.first` on, see `Replacement`.
-
-        Raises:
-            StageMisfit: the stages do not fit; nothing has changed.
-        """
+        """Replaces stages, see `Replacement`. Raises StageMisfit and changes nothing if the stages do not fit."""
         first = message.first
         if message.generation <= self._generation:
             raise StageMisfit("it is older than the last replacement")
@@ -191,7 +184,7 @@ def check_stages(stages: Sequence[Stage], before: int, earliest: float, most: in
 
 
 def checked_states(states: bytes, actuators: int) -> int:
-    """Returns packed states as an integer. Raises StageMisfit if they are of another number of actuators."""
+    """Returns packed states as an integer. Raises StageMisfit for another number of actuators."""
     bits = unpack(states)
     if len(states) != (actuators + 7) // 8 or bits >> actuators:
         raise StageMisfit(f"states of {actuators} actuators are needed")
@@ -202,17 +195,15 @@ class SetpointStream:
     """The latest set-point of a stream. The constructor raises StageMisfit if a stage does not fit the arm.
 
     Attributes:
-        number: of the stream.
         until: time after which the stream counts as stopped [s].
         reason: sentence on the set-point, for the mode.
-        strict: no stage is skipped.
         start: states from which the stages were planned, with the locked states of locked actuators.
         stages: states at the end of each stage, likewise; empty: do not move.
     """
 
     def __init__(self, message: Setpoint, most: int, locked: LockedActuators, actuators: int) -> None:
         self.number, self.until, self.reason = message.stream, message.until, message.reason
-        self.strict = message.strict
+        self.strict = message.strict  # no stage is skipped
         before = checked_states(message.start, actuators)
         self.start, self.stages = locked.aligned(before), list[int]()
         for states in (checked_states(packed, actuators) for packed in message.stages):
@@ -224,7 +215,7 @@ class SetpointStream:
             before = states
 
     def due(self, outputs: int, most: int) -> int | None:
-        """Returns the index of the stage to switch to; None without one, or if it was planned from other states."""
+        """Returns the index of the stage to switch to; None without stages, or if planned from other states."""
         if not self.stages or self.start != outputs:
             return None
         if self.strict:
@@ -258,7 +249,7 @@ class ProgramResults:
             travels=tuple(execution.travels[:MOST_TRAVELS]),
             verified=execution.verified,
         )
-        if len(self.stored) > MOST_STORED:  # the planner acknowledges nothing
+        if len(self.stored) > MOST_STORED:  # the planner sends no acknowledgements
             del self.stored[min(self.stored)]
         self.send_counts()
         self._send(result)

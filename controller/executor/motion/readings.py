@@ -1,4 +1,4 @@
-"""What end-stops and outputs tell about an arm's actuators and interlocks, and how long travels take."""
+"""Readings of end-stops and outputs: states of actuators and interlocks, and travel times."""
 
 from hyperbit.controller.executor.arm.kinds import Ends, Kinds, indices, merged
 from hyperbit.controller.executor.arm.locked import LockedActuators
@@ -9,7 +9,7 @@ from hyperbit.drivers.canopen.run.master import Master
 
 
 class Readings:
-    """What is known of the A actuators of an arm now; reads only."""
+    """The present knowledge of the A actuators of an arm; changes nothing."""
 
     def __init__(self, master: Master, kinds: Kinds, actuation: Actuation, locked: LockedActuators) -> None:
         self._master, self._kinds, self._actuation, self._locked = master, kinds, actuation, locked
@@ -21,12 +21,12 @@ class Readings:
 
     @property
     def read(self) -> int:
-        """States that the end-stops tell, else the commanded ones; 0 where the board is not operational."""
+        """States from the end-stops, otherwise the commanded ones; 0 where the board is not operational."""
         return self._kinds.measured(self.ends, self._actuation.states) & self._master.known
 
     @property
     def definite(self) -> int:
-        """Mask of the actuators whose end-stops tell their state now."""
+        """Mask of the actuators whose end-stops show their state now."""
         return self._kinds.definite(self.ends) & self._master.known
 
     @property
@@ -57,10 +57,8 @@ class TravelTimes:
     """Measures travel times from the SYNC that switched an actuator to the frame that reports its end-stop.
 
     Times are those of the frames on the bus, so that a late loop measures the same. A travel is not measured if its
-    SYNC is not echoed, if its end-stop is read by SDO, or if the end-stop reads 1 from the beginning.
-
-    Attributes:
-        travelling: masks of the actuators whose travel to the contracted, and to the extended end is measured.
+    SYNC is not echoed, if its end-stop is read by SDO, or if the end-stop reads 1 from the beginning. `travelling` are
+    the masks of the actuators with a measured travel to the contracted, and to the extended end.
     """
 
     def __init__(self) -> None:
@@ -84,7 +82,7 @@ class TravelTimes:
         self.travelling = [going & ~mask for going in self.travelling]
 
     def drain_arrived(self, ends: Ends, at: float | None) -> list[Travel]:
-        """Returns the travels that have ended since the last call, by a frame of the time `at` [s]; None: unknown."""
+        """Returns the travels ended since the last call, by a frame of the time `at` [s]; None: unknown."""
         arrived = self.travelling[0] & ends.contracted | self.travelling[1] & ends.extended
         if not arrived:
             return []

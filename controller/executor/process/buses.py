@@ -17,8 +17,8 @@ log = logging.getLogger(__name__)
 
 OPEN_EVERY = 1.0  # [s] between two attempts to open a bus that does not exist
 POLL_EVERY = 0.002  # [s] where a bus has no file descriptor
-LISTEN, PERIODS = 0.25, 2.5  # [s] for another master before the first frame, and periods of the own heartbeat
-APART = 0.01  # [s] between two heartbeats of a master; what the kernel kept of a dead one comes at once
+LISTEN, PERIODS = 0.25, 2.5  # time to listen for another master before the first frame: [s], and in heartbeat periods
+APART = 0.01  # [s], least time between two heartbeats of a live master; frames kept by the kernel come at once
 MASTER_BEAT = cia301.heartbeat(MASTER, State.OPERATIONAL)
 
 
@@ -35,8 +35,8 @@ class CanBuses:
     def listen(self, heartbeat: float) -> None:
         """Listens for another master; blocks, so call it before the loop. Other frames are dropped.
 
-        `heartbeat`: period of the own one [s]. Raises BusError if another master sends its heartbeat, or if another
-        process of this computer owns an interface.
+        `heartbeat`: the own period [s]. Raises BusError if another master sends its heartbeat, or if another process of
+        this computer owns an interface.
         """
         until = time.monotonic() + max(LISTEN, PERIODS * heartbeat)
         first: dict[str, float] = {}  # time of the first heartbeat, by bus
@@ -52,7 +52,6 @@ class CanBuses:
             time.sleep(POLL_EVERY)
 
     def filenos(self) -> list[int]:
-        """Returns the file descriptors to wait on."""
         numbers = [bus.fileno() for bus in self._buses.values()]
         return [number for number in numbers if number is not None]
 
@@ -63,7 +62,6 @@ class CanBuses:
         return math.inf if all(bus.fileno() is not None for bus in self._buses.values()) else POLL_EVERY
 
     def poll(self, now: float) -> Sequence[Event]:
-        """Returns the events since the last call."""
         if self._unopened and now >= self._next_try:
             self._open(now)
         events = list(self._waiting)
@@ -79,7 +77,7 @@ class CanBuses:
             self._waiting.append(SendFailed(bus, frame, why))
 
     def play_fault(self, text: str) -> str:
-        """Raises ValueError, as simulated boards do if they know no such fault."""
+        """Raises ValueError, as simulated boards do for an unknown fault."""
         raise ValueError("the boards are real: faults are played in simulated boards only")
 
     def close(self) -> None:

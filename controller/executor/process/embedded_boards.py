@@ -20,15 +20,11 @@ from hyperbit.drivers.simulation.fault_commands import VERBS, play
 from hyperbit.drivers.simulation.variants import Variant, choose
 
 INPUT = 0  # file descriptor of the standard input
-MOST_STEPS = 500  # of the boards in one poll, as a socket buffers a limited number of frames
+MOST_STEPS = 500  # of the boards in one poll; a socket buffers a limited number of frames, too
 
 
 def simulated_boards(arm: ExecutedArm, board: Sequence[str]) -> "EmbeddedBoards":
-    """Returns the simulated boards of an arm, with variants in the notation of `choose`.
-
-    Raises:
-        InputFaults: a board or variant is unknown.
-    """
+    """Returns the simulated boards of an arm, with variants as in `choose`. Raises InputFaults for an unknown name."""
     try:
         variants = choose(board, board_names(arm.wiring))
     except ValueError as error:
@@ -79,7 +75,7 @@ class EmbeddedBoards:
         return events
 
     def send_frame(self, bus: str, frame: Frame, now: float) -> None:
-        self._advance(now)  # what the boards did before this frame
+        self._advance(now)  # actions of the boards before this frame
         if self._boards.passes(bus):
             self._events.append(FrameEchoed(bus, frame, now))
         self._boards.receive(bus, frame, now)

@@ -24,7 +24,7 @@ from hyperbit.controller.host.keeper import SHARED, lock_file, start_keeper, wri
 
 log = logging.getLogger(__name__)
 
-INTERVAL = 60.0  # [s] between two copies, which a power failure loses
+INTERVAL = 60.0  # [s] between two copies; a power failure loses the counts since the last one
 LAST_COPY = 2.0  # [s] for the last copy after an earlier executor
 ENDING = 1.0  # [s] for the last copy
 PAGE = mmap.PAGESIZE
@@ -34,11 +34,11 @@ CRC = 4  # bytes of the checksum before each record
 class FileJournal(SwitchJournal):
     """A journal in a file in memory and its copy on the disk.
 
-    The file begins with a page that names the process. Two slots of whole pages follow. Each write goes over the older
-    of their records, so that a process that is killed meanwhile leaves the other one. A record has a checksum, its
-    number, a checksum of the actuators' labels, the counts, and the intended switches.
+    The file begins with a page that names the process. Two slots of whole pages follow. Each write replaces the older
+    of their records, so a process killed meanwhile leaves the other record. A record has a checksum, its number, a
+    checksum of the actuators' labels, the counts, and the intended switches.
 
-    A disk that is full or read-only is a problem, but no error: counts are kept in memory, and each copy tries again.
+    A full or read-only disk is a problem, but no error: counts are kept in memory, and each copy tries again.
 
     Args:
         path: of the file on the disk.
@@ -89,7 +89,7 @@ class FileJournal(SwitchJournal):
         """Starts the keeper that copies the counts to the disk. Call before the real time begins.
 
         The keeper shares the lock on the file in memory: another executor begins after the last copy. Without a keeper
-        the counts are copied by `close`.
+        `close` copies the counts.
         """
         memory = self._memory.fileno()
         try:
@@ -124,7 +124,7 @@ class FileJournal(SwitchJournal):
         return not error
 
     def _note(self, error: str) -> None:
-        """Notes why the last copy to the disk failed, "" if it succeeded; a change is logged."""
+        """Stores and logs why the last copy to the disk failed, "" if it succeeded."""
         text = error and (
             f"counts of switches cannot be written to {self._path}: {error}; they are kept in memory, and a power"
             " failure loses them: free disk space, make the folder writable, or restart the executor"
@@ -145,7 +145,7 @@ class FileJournal(SwitchJournal):
         self._map[begin : begin + CRC + len(body)] = zlib.crc32(body).to_bytes(CRC, "little") + body
 
     def _read(self, content: bytes) -> bool:
-        """Takes the newest intact record if it is newer; returns whether there is a record of these actuators."""
+        """Reads the newest intact record if it is newer; returns whether a record of these actuators exists."""
         found = False
         for begin in self._slots:
             body = content[begin + CRC : begin + CRC + self._record.size]

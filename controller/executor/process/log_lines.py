@@ -24,7 +24,7 @@ LAST_LINES_TIMEOUT = 0.5  # [s] for the waiting lines at the end
 
 
 class LogLines(logging.Handler):
-    """Writes each line to a file descriptor at once if that accepts it, else with a later line."""
+    """Writes each line at once if the file descriptor accepts it, otherwise with a later line."""
 
     def __init__(self, output: int) -> None:
         super().__init__()

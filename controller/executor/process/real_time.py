@@ -46,7 +46,7 @@ def raise_priority(priority: int) -> str | None:
 
 
 def lock_memory() -> str | None:
-    """Locks the memory of the process, so that it is never paged out; returns what is missing, or None."""
+    """Locks the memory of the process against paging; returns what is missing, or None."""
     limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     if limit != resource.RLIM_INFINITY and not may_lock_all():  # an allocation would fail in the middle of a motion
         return f"memory can be locked up to {limit} bytes only: LimitMEMLOCK=infinity in the unit is needed"
@@ -57,7 +57,7 @@ def lock_memory() -> str | None:
 
 
 def may_lock_all() -> bool:
-    """Returns whether the process has CAP_IPC_LOCK, for which the limit does not hold."""
+    """Returns whether the process has CAP_IPC_LOCK, which makes it exempt from the limit."""
     lines = Path("/proc/self/status").read_text().splitlines()
     (effective,) = (int(line.split()[1], 16) for line in lines if line.startswith("CapEff"))
     return bool(effective >> CAP_IPC_LOCK & 1)

@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("executor")
 
-SOON = 0.001  # [s] before diagnostics are due at which a tick asks for the figures of the process
-CLOSE = 0.0007  # [s] before a tick in which no message is handled; a program takes about as long
+SOON = 0.001  # [s] before due diagnostics, a tick requests the figures of the process
+CLOSE = 0.0007  # [s] before a tick no message is handled; a program takes about as long
 MOST_ROUNDS = 32  # polls of the buses in a row, before the tick is checked
 MOST_PENDING = 1_000  # recorded events that wait for the end of a tick
-CHECKPOINTING = 0.005  # [s] left before the next tick; 24 boards with 48 actuators take 0.002 s
+CHECKPOINTING = 0.005  # [s], least time before the next tick for a checkpoint; 24 boards with 48 actuators take 0.002 s
 CHECKPOINT_AT = 10_000  # events since the last checkpoint
 CLOSING = 0.25  # [s] for the running stage at the end
 FLUSHING = 0.5  # [s] for the messages that wait at the end
@@ -52,9 +52,9 @@ WORTH, TOO_MANY = 500, 5_000  # objects since the last collection; collecting 5,
 class EventLoop:
     """Passes events to the core, and performs its actions.
 
-    Frames are sent at once, since the arm waits for them. Messages and log lines are sent when no more events and no
-    echoes of RPDOs are awaited, and at the next tick at the latest. Messages of clients that come shortly before a tick
-    wait for it. `clock`: CLOCK_MONOTONIC [s].
+    Frames are sent at once, since the arm waits for them. Messages and log lines are sent when no event and no echo of
+    an RPDO is awaited, and at the next tick at the latest. A client's message shortly before a tick waits for it.
+    `clock`: CLOCK_MONOTONIC [s].
     """
 
     def __init__(
@@ -91,7 +91,6 @@ class EventLoop:
             self._end()
 
     def run_until_signal(self) -> None:
-        """Runs until a signal ends the process."""
         end_on_signals(self.quit)
         self.run()
         ignore(ENDING)  # a second signal, such as that of a parent's death, must not interrupt the end
@@ -225,7 +224,7 @@ class Timekeeper:
         return max(self._next - now, 0.0)
 
     def tick_is_near(self, now: float) -> bool:
-        """Returns whether a tick comes soon, but is not due yet: what takes long would delay it."""
+        """Returns whether the next tick is close, but not due: long work would delay it."""
         return 0.0 < self._next - now < CLOSE
 
     def ticked(self, began: float, ended: float) -> None:
@@ -260,7 +259,7 @@ class Timekeeper:
 
 
 class Garbage:
-    """Garbage collection at harmless times: a full collection would stop the loop for milliseconds.
+    """Collects garbage at harmless times: a full collection would stop the loop for milliseconds.
 
     Objects that live as long as the process are excluded from collection.
     """
@@ -276,7 +275,7 @@ class Garbage:
         gc.unfreeze()
 
     def collect(self, holding: bool) -> None:
-        """Collects all objects if the arm holds, else only the youngest ones, when there are TOO_MANY."""
+        """Collects all objects if the arm holds, otherwise only the youngest ones, above TOO_MANY."""
         young, older, _ = gc.get_count()
         if holding and (young > WORTH or older > 0):
             gc.collect()

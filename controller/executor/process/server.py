@@ -29,7 +29,7 @@ BACKLOG = 128  # connections that wait to be accepted
 MOST_ACCEPTED = 16  # connections in one poll, so that a flood of them does not block the loop
 MOST_MESSAGES = 64  # of all clients in one poll, about, so that a flood does not block the loop
 LEAST_MESSAGES = 4  # of one client in one poll
-MOST_QUEUED = 1_000  # messages that wait for a client that does not read; it is disconnected with more
+MOST_QUEUED = 1_000  # waiting messages of a client; above this number it is disconnected
 HELLO_TIMEOUT = 1.0  # [s] from the connection to its Hello
 PLACES = {"silent": 16, "operator": 15}  # the core refuses a second planner, and its connection ends at once
 LINES_EVERY = 1.0  # [s] between two lines of the log
@@ -37,13 +37,7 @@ CREDENTIALS = struct.Struct("3i")  # SO_PEERCRED: pid, uid, gid
 
 
 class ClientConnection:
-    """The connection of one client, with the messages that wait to be sent.
-
-    Attributes:
-        role: as its Hello says; None before the Hello.
-        closing: whether a Goodbye was sent.
-        since: time of the connection [s].
-    """
+    """The connection of one client since the time `since` [s], with the messages that wait to be sent."""
 
     def __init__(self, number: int, connected: socket.socket, now: float) -> None:
         connected.setblocking(False)
@@ -51,12 +45,12 @@ class ClientConnection:
         self.client = ClientId(number, CREDENTIALS.unpack(options)[0])
         self.socket, self.since = connected, now
         self.waiting: deque[bytes] = deque()
-        self.role: Literal["planner", "operator"] | None = None
-        self.closing = False
+        self.role: Literal["planner", "operator"] | None = None  # as its Hello says; None before the Hello
+        self.closing = False  # whether a Goodbye was sent
 
     @property
     def place(self) -> str:
-        """Which kind of place the connection takes: "silent", "operator" or "planner"."""
+        """Kind of place that the connection takes: "silent", "operator" or "planner"."""
         return "silent" if self.role is None or self.closing else self.role
 
     def flush(self) -> bool:
@@ -73,49 +67,40 @@ class ClientConnection:
 
 
 def late(connection: ClientConnection, now: float) -> bool:
-    """Returns whether a connection has no role, or does not read its Goodbye, after HELLO_TIMEOUT."""
+    """Returns whether a connection, after HELLO_TIMEOUT, has no role or does not read its Goodbye."""
     return connection.place == "silent" and now - connection.since >= HELLO_TIMEOUT
 
 
 def superfluous(connections: Iterable[ClientConnection]) -> Iterator[ClientConnection]:
     """Yields the connections that are too many for PLACES.
 
-    The process with the most connections of a kind gives way, with its oldest one. A process with one connection keeps
-    its place, however many another process opens.
+    The process with the most connections of a kind loses its oldest one. A process with one connection keeps its place,
+    however many another process opens.
     """
     every = sorted(connections, key=lambda connection: connection.client.number)
     for place, places in PLACES.items():
         group = [connection for connection in every if connection.place == place]
         counts = Counter(connection.client.pid for connection in group)
         for _ in range(len(group) - places):
-            first = max(group, key=lambda connection: counts[connection.client.pid])  # of equals the oldest
+            first = max(group, key=lambda connection: counts[connection.client.pid])  # the oldest of equals
             group.remove(first)
             counts[first.client.pid] -= 1
             yield first
 
 
 class ExecutorServer:
-    """Listens on a Unix socket of the type SOCK_SEQPACKET.
+    """Listens on a Unix socket of the type SOCK_SEQPACKET. A locked file "<path>.lock" excludes a second executor.
 
-    Snapshots and diagnostics are dropped for a client that does not read; other messages are queued.
-    Connections before their Hello, operators, and the planner have places of their own, see `PLACES`.
+    Snapshots and diagnostics are dropped for a client that does not read; other messages are queued. Connections before
+    their Hello, operators, and the planner have places of their own, see `PLACES`.
 
-    Attributes:
-        dropped: number of dropped snapshots and diagnostics.
-
-    Args:
-        path: of the socket. A locked file beside it, with the suffix ".lock", excludes a second executor.
-        clock: of the event loop [s].
-
-    Raises:
-        FileInUse: another executor listens there; the text names its process.
-        OSError: the socket cannot be created.
+    Raises FileInUse, which names the other executor's process, or OSError.
     """
 
     def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
-        self.dropped = 0
+        self.dropped = 0  # number of dropped snapshots and diagnostics
         self._clock = clock
-        self._next_line, self._omitted = 0.0, 0  # when the next line of the log is written, and lines until then
+        self._next_line, self._omitted = 0.0, 0  # earliest time of the next log line, and number of omitted lines
         self._path, self._number = path, 0
         self._connections: dict[ClientId, ClientConnection] = {}
         self._gone: list[ClientId] = []
@@ -125,7 +110,7 @@ class ExecutorServer:
         self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         try:
             self._listening.bind(str(path))
-        except OSError as error:  # of a path of more than 107 bytes, or a full disk; it names no file
+        except OSError as error:  # the path has more than 107 bytes, or the disk is full; the error names no file
             raise OSError(f"the socket {path} cannot be made: {error}") from None
         path.chmod(0o660)  # the folder decides who may connect
         self._listening.listen(BACKLOG)
@@ -184,7 +169,7 @@ class ExecutorServer:
         os.close(self._lock)
 
     def _accept(self, events: list[FromClient | ClientGone], now: float) -> None:
-        """Accepts the connections that wait, reads each at once, and makes room for it."""
+        """Accepts waiting connections, reads each at once, and makes room for it."""
         for _ in range(MOST_ACCEPTED):
             try:
                 connected, _ = self._listening.accept()
@@ -200,7 +185,7 @@ class ExecutorServer:
             self._make_room(events, now)
 
     def _make_room(self, events: list[FromClient | ClientGone], now: float) -> None:
-        """Closes connections of which there are too many. Each is read first: its Hello may wait."""
+        """Closes superfluous connections. Each is read first: its Hello may wait."""
         for connection in superfluous(self._connections.values()):
             self._read(connection, events)
         for connection in superfluous(self._connections.values()):

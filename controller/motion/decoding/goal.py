@@ -18,6 +18,8 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
+from hyperbit.controller.armfile.choices import LARGEST
+from hyperbit.controller.armfile.settings import Angle, AngleTolerance, Coordinate
 from hyperbit.controller.armfile.strict import UNIT
 from hyperbit.controller.motion.decoding.payloads import check_size, converted, object_in
 from hyperbit.controller.motion.trajectory import MOST_POINTS, Trajectory, along, through
@@ -33,14 +35,11 @@ BEGIN_WITHIN = 8.0  # [s] from the arrival of a request to its acceptance; Zenoh
 LONGEST = 200  # characters of a quoted message
 FARTHEST_AHEAD = 86_400.0  # [s]; a stamp in milliseconds would lie centuries ahead
 
-# The bounds exclude infinity and NaN. Greater lengths are mistakes of the unit and overflow when they are squared.
-Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
-Tolerable = Annotated[float, Meta(ge=1e-9, le=1e6)]
+# The bounds exclude infinity and NaN.
+Tolerable = Annotated[float, Meta(ge=1e-9, le=LARGEST)]
 Time = Annotated[float, Meta(ge=0, le=sys.float_info.max)]
 PlanningSeconds = Annotated[float, Meta(gt=0, le=60)]
 BeginSeconds = Annotated[float, Meta(gt=0, le=86_400)]
-# An angle, or one component of a quaternion.
-Turn = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Position = Sequence[float] | NDArray[np.float64]
 Id = Annotated[str, Meta(pattern=r"^[ -~]{1,128}\Z")]  # it is written to logs, a database and systemd's status
 
@@ -53,7 +52,7 @@ class Waypoint(Struct, forbid_unknown_fields=True, frozen=True):
 
     position: Annotated[list[Coordinate], Meta(min_length=2, max_length=3)] | None = None
     t: Time = 0.0
-    orientation: Turn | list[Turn] | None = None
+    orientation: Angle | list[Coordinate] | None = None
     configuration: Annotated[str, Meta(max_length=100_000)] | None = None
 
 
@@ -61,7 +60,7 @@ class Tolerance(Struct, forbid_unknown_fields=True, frozen=True):
     """Tolerances of a waypoint: of the position, and of the orientation [rad]."""
 
     position: Tolerable | None = None
-    orientation: Tolerable | None = None
+    orientation: AngleTolerance | None = None
 
 
 class GoalMessage(Struct, forbid_unknown_fields=True, frozen=True):
@@ -189,8 +188,14 @@ def check_reach(message: GoalMessage, base: Sequence[float], farthest: float, to
     dimension are not checked.
 
     Raises:
-        Refusal: a position is farther than the tip can be; the message names the field.
+        Refusal: a position is farther than the tip can be, or every tip is within a tolerance; the message names the
+            field.
     """
+    own = {"tolerance.position": message.tolerance.position, "path_tolerance": message.path_tolerance}
+    for name, given in own.items():
+        if given is not None and given > 2.0 * farthest:
+            words = f"{name}: {given:g}, but all tips are within {2.0 * farthest:.4g} of each other; check its unit"
+            raise Refusal(Reason.INVALID_FIELDS, message.id, faults=words)
     most = message.tolerance.position or tolerance
     for k, waypoint in enumerate(message.waypoints):
         position = waypoint.position

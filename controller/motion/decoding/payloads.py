@@ -1,11 +1,11 @@
 """Strict decoding of JSON payloads into messages."""
 
-import json
 from typing import Any, TypeVar
 
 import msgspec
 from msgspec import Struct
 
+from hyperbit.controller.armfile.documents import parse_json
 from hyperbit.controller.armfile.strict import check
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal, all_faults
@@ -42,7 +42,7 @@ def object_in(payload: bytes, kind: type[Struct], name: str) -> dict[str, Any]:
         Refusal: not UTF-8, not JSON, a name occurs twice in an object, or not an object.
     """
     try:
-        value: Any = json.loads(payload.decode("utf-8"), object_pairs_hook=once)
+        value: Any = parse_json(payload.decode("utf-8"))
     except UnicodeDecodeError as error:
         byte = f"{payload[error.start]:02x}"
         raise Refusal(Reason.NOT_UTF8, what=name, byte=error.start, value=byte) from None
@@ -69,17 +69,3 @@ def converted(value: dict[str, Any], kind: type[S], name: str) -> S:
     except RecursionError:
         raise Refusal(Reason.NESTED_TOO_DEEPLY, what=name) from None
     raise Refusal(Reason.INVALID_FIELDS, faults=all_faults(faults))
-
-
-def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Returns the object of name-value pairs; json.loads would silently keep the last of equal names.
-
-    Raises:
-        ValueError: a name occurs twice.
-    """
-    fields = dict(pairs)
-    if len(fields) < len(pairs):
-        seen: set[str] = set()
-        twice = next(name for name, _ in pairs if name in seen or seen.add(name))  # type: ignore[func-returns-value]
-        raise ValueError(f"{twice!r} occurs twice in one object")
-    return fields

@@ -7,7 +7,8 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from hyperbit.controller.motion.decoding.goal import Coordinate, Time, Tolerance
+from hyperbit.controller.armfile.settings import Coordinate
+from hyperbit.controller.motion.decoding.goal import Time, Tolerance
 from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal

@@ -141,6 +141,11 @@ class Feed:
             self._clear = max(self._clear, self.begun + 1)
         return self._points[self._point(self.begun)].point
 
+    def end(self, began: float) -> float:
+        """Returns the expected end of the program, in its time [s]; `began`: when its latest stage began."""
+        planned = self._route.times[-1] + self._route.delay
+        return max(planned, began + self._route.lead * (len(self._stages) - max(self.begun, 0)))
+
     def deviation(self, mark: int) -> float | None:
         """Returns the planned deviation of the transition to a point; None if it is not known."""
         return self._points[mark].deviation if 0 <= mark < len(self._points) else None

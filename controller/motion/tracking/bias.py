@@ -12,7 +12,8 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from hyperbit.controller.motion.decoding.goal import Coordinate, Time
+from hyperbit.controller.armfile.settings import Angle, Coordinate
+from hyperbit.controller.motion.decoding.goal import Time
 from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.motion.tracking.kalman import kalman_filter
 from hyperbit.controller.motion.tracking.tracking import GATES
@@ -31,7 +32,7 @@ class MeasuredTipMessage(Struct, forbid_unknown_fields=True, frozen=True):
 
     position: Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
     stamp: Time
-    orientation: Coordinate | Annotated[list[Coordinate], Meta(min_length=4, max_length=4)] | None = None
+    orientation: Angle | Annotated[list[Coordinate], Meta(min_length=4, max_length=4)] | None = None
 
 
 def decode(payload: bytes, dimension: int) -> tuple[Vector, float]:

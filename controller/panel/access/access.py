@@ -10,12 +10,9 @@ from hyperbit.controller.panel.access.sessions import Sessions
 
 
 class Access:
-    """Checks tokens, cookies and names of certificates. Not thread-safe.
+    """Checks tokens, cookies and names of certificates of people with distinct names. Not thread-safe.
 
-    Args:
-        people: people who may open the page, with distinct names.
-        file: keeps the sessions over a restart; None: they end with the process.
-        clock: returns UNIX time [s].
+    `file` keeps the sessions over a restart; None: they end with the process. `clock` returns UNIX time [s].
     """
 
     def __init__(
@@ -30,11 +27,9 @@ class Access:
         return None if found is None else self._sessions.begin(found)
 
     def leave(self, cookie: str | None) -> None:
-        """Ends the session of a cookie."""
         self._sessions.end(cookie)
 
     def bearer(self, token: str) -> Person | None:
-        """Returns the person of a token; None if the token is wrong."""
         return described(self._holder(token))
 
     def person(self, cookie: str | None) -> Person | None:
@@ -46,7 +41,7 @@ class Access:
         return described(self._people.get(name or ""))
 
     def _holder(self, token: str) -> PersonEntry | None:
-        """Returns the entry of a token. The time does not tell how much of a token is right."""
+        """Returns the entry of a token. Its duration does not reveal how much of a token is right."""
         digest, found = digest_of(token), None
         for entry in self._people.values():
             if entry.token is not None and hmac.compare_digest(entry.token, digest):
@@ -55,5 +50,4 @@ class Access:
 
 
 def described(entry: PersonEntry | None) -> Person | None:
-    """Returns the name and role of an entry."""
     return None if entry is None else Person(entry.name, entry.role)

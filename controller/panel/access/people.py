@@ -7,7 +7,8 @@ from typing import Annotated, Literal, NamedTuple
 
 from msgspec import Meta, Struct
 
-from hyperbit.controller.armfile.strict import InputFaults, check, read_yaml
+from hyperbit.controller.armfile.documents import read_yaml
+from hyperbit.controller.armfile.strict import InputFaults, check
 
 Role = Literal["viewer", "operator"]
 
@@ -15,29 +16,19 @@ TOKEN_BYTES = 32
 
 
 class Person(NamedTuple):
-    """A person who may open the page, with a role."""
-
     name: str
     role: Role
 
 
 class PersonEntry(Struct, forbid_unknown_fields=True, frozen=True):
-    """One entry of the file of people.
-
-    Attributes:
-        name: of the person; a client certificate with this common name needs no token.
-        role: "viewer" or "operator".
-        token: SHA-256 of the person's token, hexadecimal; None: the person needs a client certificate.
-    """
-
+    # a client certificate with this common name needs no token
     name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,32}\Z", description="1 to 32 letters, digits, _ and -")]
     role: Role
+    # SHA-256 of the person's token, hexadecimal; None: the person needs a client certificate
     token: Annotated[str, Meta(pattern=r"^[0-9a-f]{64}\Z")] | None = None
 
 
 class People(Struct, forbid_unknown_fields=True, frozen=True):
-    """The file of people."""
-
     people: Annotated[list[PersonEntry], Meta(min_length=1, max_length=1000)]
 
 
@@ -47,16 +38,11 @@ def digest_of(token: str) -> str:
 
 
 def new_token() -> str:
-    """Returns a random token of 32 bytes, as text."""
     return secrets.token_urlsafe(TOKEN_BYTES)
 
 
 def read_people(path: Path) -> list[PersonEntry]:
-    """Reads the people of a file.
-
-    Raises:
-        InputFaults: the file is missing or wrong; each fault names its field.
-    """
+    """Reads the people of a file. Raises InputFaults if the file is missing or wrong; each fault names its field."""
     faults = list[str]()
     found = check(read_yaml(path), People, faults)
     names = [entry.name for entry in found.people] if found else []

@@ -5,14 +5,12 @@ from typing import NamedTuple
 
 from hyperbit.controller.panel.access.people import Person, Role
 
-MOST_PAGES, MOST_VIEWERS = 100, 60  # open pages in all, and of viewers; the other places are the operators'
+MOST_PAGES, MOST_VIEWERS = 100, 60  # open pages of all people, and of viewers; the rest is for operators
 MOST_OF_PERSON = 30
-MOST_OF_ADDRESS = 50  # of each role, because a viewer at the operator's address must not take the operator's places
+MOST_OF_ADDRESS = 50  # of each role: a viewer at an operator's address must not take the operator's places
 
 
 class PagePlace(NamedTuple):
-    """The place of one open page."""
-
     person: Person
     address: str
 
@@ -27,11 +25,9 @@ class Places:
 
     @property
     def taken(self) -> int:
-        """Number of open pages."""
         return self._roles.total()
 
     def refusal(self, place: PagePlace) -> str | None:
-        """Returns why a page may not open, or None."""
         person, address = place
         if self.taken >= MOST_PAGES or (person.role == "viewer" and self._roles["viewer"] >= MOST_VIEWERS):
             return "too many pages are open"
@@ -42,11 +38,9 @@ class Places:
         return None
 
     def take_place(self, place: PagePlace) -> None:
-        """Counts a page that opens."""
         self._count(place, 1)
 
     def free_place(self, place: PagePlace) -> None:
-        """Counts a page that closes."""
         self._count(place, -1)
 
     def _count(self, place: PagePlace, change: int) -> None:

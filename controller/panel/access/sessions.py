@@ -1,4 +1,4 @@
-"""Sessions of people who logged in. The server ends a session at log-out, so that a copied cookie is invalid then."""
+"""Sessions of logged-in people. The server ends a session at log-out, so that a copied cookie is invalid then."""
 
 import logging
 import os
@@ -9,6 +9,7 @@ from pathlib import Path
 
 import msgspec
 
+from hyperbit.controller.host.keeper import write_whole
 from hyperbit.controller.panel.access.people import PersonEntry, digest_of
 
 log = logging.getLogger(__name__)
@@ -18,26 +19,15 @@ MOST_OF_PERSON = 100  # sessions; a further log-in ends the person's oldest sess
 
 
 class Session(msgspec.Struct, frozen=True):
-    """One session.
-
-    Attributes:
-        name: of the person.
-        until: UNIX time at which it ends [s].
-        entry: digest of the person's role and token: a change of either ends the session.
-    """
-
-    name: str
-    until: float
-    entry: str
+    name: str  # of the person
+    until: float  # UNIX time of its end [s]
+    entry: str  # digest of the person's role and token: a change of either ends the session
 
 
 class Sessions:
     """The sessions. A cookie is a random text; only its SHA-256 is kept. Not thread-safe.
 
-    Args:
-        people: people who may open the page, by name.
-        file: keeps the sessions over a restart; None: they end with the process.
-        clock: returns UNIX time [s].
+    `file` keeps the sessions over a restart; None: they end with the process. `clock` returns UNIX time [s].
     """
 
     def __init__(
@@ -47,7 +37,6 @@ class Sessions:
         self._sessions = {} if file is None else read_sessions(file)
 
     def begin(self, entry: PersonEntry) -> str:
-        """Begins a session of a person; returns its cookie."""
         cookie, now = secrets.token_urlsafe(32), self._clock()
         for key in [key for key, session in self._sessions.items() if session.until <= now]:
             del self._sessions[key]
@@ -59,7 +48,7 @@ class Sessions:
         return cookie
 
     def entry(self, cookie: str | None) -> PersonEntry | None:
-        """Returns the entry of the person of a cookie; None if its session has ended or never began."""
+        """Returns the entry of a cookie's person; None if its session has ended or never began."""
         session = self._sessions.get(digest_of(cookie or ""))
         entry = None if session is None else self._people.get(session.name)
         if session is None or entry is None or session.until <= self._clock() or session.entry != entry_digest(entry):
@@ -67,7 +56,6 @@ class Sessions:
         return entry
 
     def end(self, cookie: str | None) -> None:
-        """Ends the session of a cookie."""
         if self._sessions.pop(digest_of(cookie or ""), None) is not None:
             self._write()
 
@@ -75,12 +63,8 @@ class Sessions:
         """Writes the file of sessions; the page works without it."""
         if self._file is None:
             return
-        beside = self._file.with_suffix(".new")
         try:
-            descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(msgspec.json.encode(self._sessions))
-            beside.replace(self._file)
+            write_whole(self._file, msgspec.json.encode(self._sessions), sync=False)
         except OSError as error:
             log.warning("sessions cannot be written, a restart ends them: %s", error)
 
@@ -103,5 +87,4 @@ def sessions_file() -> Path | None:
 
 
 def entry_digest(entry: PersonEntry) -> str:
-    """Returns a digest of a person's role and token."""
     return digest_of(f"{entry.role} {entry.token}")

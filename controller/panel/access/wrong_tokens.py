@@ -10,15 +10,11 @@ MOST_ADDRESSES = 1000
 
 
 class WrongTokens:
-    """Counts wrong tokens of each address. Not thread-safe.
-
-    Args:
-        clock: returns the time [s].
-    """
+    """Counts wrong tokens of each address. Not thread-safe."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._wrong: dict[str, tuple[int, float]] = {}  # number and time of the last, the latest address last
+        self._wrong: dict[str, tuple[int, float]] = {}  # number and last time, in the order of last times
 
     def delay(self, address: str) -> float:
         """Counts a wrong token of an address; returns the delay of its answer [s]."""

@@ -14,11 +14,7 @@ LONGEST = 500  # characters of a log line
 
 
 class ArmHistory:
-    """History of one arm, of bounded size. Not thread-safe.
-
-    Args:
-        clock: returns UNIX time [s].
-    """
+    """History of one arm, of bounded size. `clock` returns UNIX time [s]. Not thread-safe."""
 
     def __init__(self, clock: Callable[[], float] = time.time) -> None:
         self._clock = clock
@@ -30,7 +26,7 @@ class ArmHistory:
         self._faults: frozenset[tuple[str, str]] = frozenset()
 
     def set_clock(self, clock: Callable[[], float]) -> None:
-        """Takes the time of a replay from now on, also for what was heard before."""
+        """Uses the time of a replay from now on, also for earlier messages."""
         self._clock, now = clock, clock()
         for entry in (*self.lines, *self.goals):
             entry.update({name: now for name in ("at", "ended") if name in entry})
@@ -38,7 +34,7 @@ class ArmHistory:
         self.lateness.clear()
 
     def rewind(self) -> None:
-        """Drops what is later than the present time of a replay that was moved back."""
+        """Drops entries later than the present time of a replay that was moved back."""
         now = self._clock()
         for entries in (self.lines, self.goals):
             kept = [entry for entry in entries if entry["at"] <= now]
@@ -65,7 +61,6 @@ class ArmHistory:
         self.lines.append({"at": self._clock(), "kind": kind, "text": text[:LONGEST]})
 
     def request(self, payload: Mapping[str, Any]) -> None:
-        """Records a goal or jog of another program."""
         answer = payload.get("answer") or {}
         if payload.get("key") not in ("goal", "jog") or not answer.get("accepted"):
             return
@@ -74,7 +69,6 @@ class ArmHistory:
         self.goal(str(answer.get("id")), len(waypoints) if isinstance(waypoints, list) else 1)
 
     def goal(self, name: str, waypoints: int | None) -> Message:
-        """Returns the entry of a goal; creates it if it is new."""
         for entry in reversed(self.goals):
             if entry["id"] == name:
                 entry["waypoints"] = waypoints or entry["waypoints"]
@@ -84,7 +78,6 @@ class ArmHistory:
         return fresh
 
     def has_result(self, name: object) -> bool:
-        """Returns whether a goal has ended."""
         return any(entry["id"] == name and entry["status"] != "running" for entry in self.goals)
 
     def feedback(self, payload: Mapping[str, Any]) -> None:
@@ -94,7 +87,6 @@ class ArmHistory:
         self._error(payload)
 
     def result(self, payload: Mapping[str, Any]) -> None:
-        """Records a result."""
         if payload.get("id") is None:  # a refused put
             self.say(f"a request was refused: {payload.get('message')}", "warning")
             return

@@ -21,7 +21,7 @@ Message = dict[str, Any]
 
 ASK_AGAIN = 2.0  # [s] after an arm did not answer
 SILENT = 5.0  # [s] without a state, after which an arm without liveliness token counts as gone
-SHOWN = (  # of the payload of `arm`
+SHOWN = (  # fields of the payload of `arm` for the page
     *("name", "version", "dimension", "length", "base", "actuators", "states", "tolerance", "travel_time", "rest_time"),
     *("inrush", "method", "on_stop", "on_loss", "obstacles", "sent_obstacles", "body_radius", "limits", "daemon"),
     *("poses", "simulated", "simulation"),
@@ -31,28 +31,18 @@ SHOWN = (  # of the payload of `arm`
 class ArmView:
     """Data of one arm. Used only on the event loop of the pages.
 
-    Attributes:
-        name: name of the arm.
-        client: sends requests to the arm's daemon.
-        known: whether a message of the arm has been received.
-        pages: open pages of the arm.
-        control: the page that commands the arm.
-        history: history of the arm.
-        drawing: structure of the arm; None until the daemon has described it.
-        background: content type and bytes of the density; None until the daemon has described it.
-        state: latest payload of `state`; None before the first.
-        diagnostics: latest payload of `diagnostics`; None before the first.
-        alive: whether the daemon's liveliness token exists.
+    `known`: a message of the arm was received; `alive`: its daemon's liveliness token exists.
     """
 
     def __init__(self, name: str, client: Client, loop: asyncio.AbstractEventLoop) -> None:
         self.name, self.client, self.known, self.alive = name, client, False, False
         self.pages: set[Page] = set()
         self.control, self.history = Control(), ArmHistory()
-        self.drawing: Drawing | None = None
+        self.drawing: Drawing | None = None  # structure of the arm; None until the daemon has described it
+        # content type and bytes of the density; None until the daemon has described it
         self.background: tuple[str, bytes] | None = None
-        self.state: Message | None = None
-        self.diagnostics: Message | None = None
+        self.state: Message | None = None  # latest payload of `state`
+        self.diagnostics: Message | None = None  # latest payload of `diagnostics`
         self._loop, self._heard, self._liveliness = loop, -math.inf, time.monotonic()
         self._sections: dict[str, bytes] = {}
         self._arm: Message = {}
@@ -69,7 +59,7 @@ class ArmView:
 
     @property
     def present(self) -> bool:
-        """Whether the arm is there, or a page shows it."""
+        """Whether the daemon was heard lately, or a page shows the arm."""
         return self.alive or bool(self.pages) or time.monotonic() - self._heard < SILENT
 
     def silence(self, now: float) -> float:
@@ -77,12 +67,10 @@ class ArmView:
         return now - max(self._heard, self._liveliness)
 
     def cancel_request(self) -> None:
-        """Cancels the request under way."""
         if self._asking is not None:
             self._asking.cancel()
 
     def open(self, page: Page) -> None:
-        """Adds a page and sends it all sections."""
         self.pages.add(page)
         self.publish_history()
         for section, data in self._sections.items():
@@ -106,13 +94,11 @@ class ArmView:
             page.offer(section, data)
 
     def publish_history(self) -> None:
-        """Sends the present goals, log and curves to all pages."""
         self.publish("goals", {"goals": list(self.history.goals)})
         self.publish("log", {"lines": list(self.history.lines)})
         self.publish("curves", {"errors": list(self.history.errors), "lateness": list(self.history.lateness)})
 
     def summary(self, now: float) -> Message:
-        """Returns the arm's entry in the list of arms."""
         state = self.state or {}
         return {
             "name": self.name,
@@ -124,8 +110,9 @@ class ArmView:
         }
 
     def publish_presence(self, now: float) -> None:
-        """Sends each page the age of the latest state, and the page that has control."""
-        presence = {"section": "presence", "alive": self.alive, "age": self._age(now), "pages": len(self.pages)}
+        """Sends each page stamp and age of the latest state, and the page that has control."""
+        latest = {"age": self._age(now), "stamp": (self.state or {}).get("stamp")}
+        presence = {"section": "presence", "alive": self.alive, **latest, "pages": len(self.pages)}
         for page in self.pages:
             control = self.control.described()
             page.offer("presence", msgspec.json.encode({**presence, "control": control, "you": page.number}))
@@ -136,7 +123,6 @@ class ArmView:
     # --- messages of the daemon
 
     def hear_alive(self, alive: bool) -> None:
-        """Accepts a change of the arm's liveliness."""
         if alive != self.alive:
             self.history.say("the daemon is there" if alive else "the daemon is gone", "note" if alive else "fault")
             self.publish_history()
@@ -151,7 +137,7 @@ class ArmView:
         faults = advised(state.get("faults", ()))
         changed = self.history.state(state)
         before, self.state, self._heard, self.known = self.state, state, at, True  # the state can be read
-        described = ("goal", "obstacles", "poses", "mode")  # on a change of these, the description has changed as well
+        described = ("goal", "obstacles", "poses", "mode")  # the description changes with these
         if before is None or any(state.get(name) != before.get(name) for name in described):
             self._ask("running", *(() if self.drawing else ("drawing", "density")))
         if changed:
@@ -161,7 +147,6 @@ class ArmView:
         self._draw(state)
 
     def hear(self, key: str, payload: Message) -> None:
-        """Accepts a payload of another key."""
         if key == "feedback":
             self.history.feedback(payload)
         elif key == "result":
@@ -180,7 +165,6 @@ class ArmView:
         self.publish_history()
 
     def _hear_timeline(self, payload: Message) -> None:
-        """Sets the history's clock to the time of a replay."""
         if self._replay is None:
             self._replay = ReplayClock()
             self._replay.hear(payload)
@@ -244,7 +228,6 @@ class ArmView:
             await asyncio.sleep(ASK_AGAIN)
 
     def _describe(self, answer: Message) -> None:
-        """Accepts an answer of the query `arm`."""
         if "drawing" in answer:
             drawing = Drawing(answer)
             self.drawing, self._positions = drawing, ()

@@ -20,9 +20,9 @@ log = logging.getLogger(__name__)
 
 TICK = 0.05  # [s] between two updates from the received states
 PRESENCE_EVERY = 0.5  # [s] between two updates of presence, and of arms that no page shows
-MOST_ARMS = 256  # further arms take the places of arms that are gone
-MOST_ALIVE = 10_000  # names of daemons that are there, of which some may have no place yet
-GONE_SHOWN = 600.0  # [s] for which an arm that is gone stays in the list
+MOST_ARMS = 256  # further arms take the places of gone arms
+MOST_ALIVE = 10_000  # names of live daemons; some may have no place yet
+GONE_SHOWN = 600.0  # [s] for which a gone arm stays in the list
 MOST_PENDING = 1000  # messages that wait for the loop; further messages are dropped
 MOST_MESSAGE = 16_000_000  # bytes
 KEYS = ("feedback", "result", "diagnostics", "request", "timeline")
@@ -31,19 +31,12 @@ KEYS = ("feedback", "result", "diagnostics", "request", "timeline")
 class Arms:
     """The arms below a prefix. Used on the event loop of the pages, except for Zenoh's callbacks.
 
-    Attributes:
-        views: data of each arm, by name.
-        counters: counts results and faults, for metrics.
-        session: of all requests.
-
-    Args:
-        session: open session.
-        prefix: prefix of all keys: "hyperbit", or the prefix of a replay.
+    `prefix` is that of all keys: "hyperbit", or the prefix of a replay.
     """
 
     def __init__(self, session: zenoh.Session, prefix: str = "hyperbit") -> None:
         self.views: dict[str, ArmView] = {}
-        self.counters = Counters()
+        self.counters = Counters()  # counts results and faults, for metrics
         self.session, self._prefix = session, prefix
         self._loop = asyncio.get_running_loop()
         self._pages: set[Page] = set()
@@ -59,7 +52,6 @@ class Arms:
         self._task = self._loop.create_task(self._run())
 
     async def close(self) -> None:
-        """Ends the subscriptions."""
         self._task.cancel()
         while self._declared:
             await asyncio.to_thread(self._declared.pop().undeclare)
@@ -67,7 +59,7 @@ class Arms:
             view.cancel_request()
 
     def known(self) -> list[ArmView]:
-        """Returns the arms of which a message was received."""
+        """Returns the arms that have sent a message."""
         return [view for view in self.views.values() if view.known]
 
     def open(self, page: Page, name: str | None) -> ArmView | None:
@@ -82,7 +74,6 @@ class Arms:
         return view
 
     def shut(self, page: Page, view: ArmView | None) -> None:
-        """Removes a page."""
         self._pages.discard(page)
         if view is not None:
             view.shut(page)
@@ -139,7 +130,6 @@ class Arms:
         return self.views[name]
 
     def _drop(self, view: ArmView) -> None:
-        """Drops the data of an arm."""
         view.cancel_request()
         self.counters.drop_arm(view.name)
         del self.views[view.name]
@@ -166,7 +156,6 @@ class Arms:
             log.exception("arm %s: a message on %s cannot be read", name, key)
 
     def _accept(self, view: ArmView, key: str, message: dict[str, Any]) -> None:
-        """Accepts a decoded message of an arm."""
         if key == "result" and message.get("repeated") and view.history.has_result(message.get("id")):
             return
         if key == "result":

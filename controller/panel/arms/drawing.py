@@ -21,36 +21,21 @@ MOST_POINTS = 4000  # points of a spatial density
 
 
 class Drawing:
-    """Structure of an arm, built from the answer to the query `arm`.
-
-    Attributes:
-        manipulator: the chain of modules.
-        lines: number of line segments of each module, shape (B,).
-
-    Args:
-        answer: payload of the answer, with its `drawing`.
-    """
+    """Structure of an arm, built from the payload of the answer to `arm`, with its `drawing`."""
 
     def __init__(self, answer: Message) -> None:
-        """Builds the chain.
-
-        Raises:
-            KeyError, TypeError, ValueError: the answer has another form.
-        """
+        """Builds the chain. Raises KeyError, TypeError or ValueError if the answer has another form."""
         self.manipulator = described(answer)
         modules = self.manipulator.modules
-        self.lines = [module.body.shape[1] for module in modules]
+        self.lines = [module.body.shape[1] for module in modules]  # number of line segments of each module, shape (B,)
         self._starts = np.cumsum([0, *(len(module.actuators) for module in modules)])
         self._digits = DIGITS - int(np.floor(np.log10(max(self.manipulator.length, 1e-9))))
 
     def of_actuators(self, states: Sequence[int | None], guesses: Sequence[int | None] = ()) -> list[float] | None:
         """Returns the coordinates of all line segments for actuator states, flat; None if there are no states.
 
-        A module is drawn in the state that agrees with most of its `states`, then with most of its `guesses`.
-
-        Args:
-            states: of the actuators, shape (A,); None where unknown.
-            guesses: likely states, such as the last known ones, shape (A,); None where there is no guess.
+        A module is drawn in the state that agrees with most of its `states` (A,), then with most of its `guesses` (A,),
+        such as the last known states. None: unknown.
         """
         if len(states) != self._starts[-1] or all(state is None for state in (*states, *guesses)):
             return None
@@ -64,7 +49,7 @@ class Drawing:
         return self.of_configuration(configuration)
 
     def unknown_modules(self, states: Sequence[int | None]) -> list[int]:
-        """Returns the numbers of the modules, from 0, that have an actuator of unknown state; states (A,)."""
+        """Returns the indices of the modules that have an actuator of unknown state."""
         return [k for k, (_, first, last) in enumerate(self._modules()) if None in states[first:last]]
 
     def _modules(self) -> Iterator[tuple[Module, int, int]]:
@@ -72,19 +57,17 @@ class Drawing:
         return zip(self.manipulator.modules, self._starts.tolist(), self._starts[1:].tolist(), strict=False)
 
     def of_text(self, text: str) -> list[float] | None:
-        """Returns the coordinates of a configuration in the text form of messages; None if the arm has no such one."""
+        """Returns the coordinates of a configuration's text; None if the arm has no such configuration."""
         try:
             return self.of_configuration(parse_configuration(self.manipulator, text))
         except ValueError:
             return None
 
     def of_configuration(self, configuration: Configuration) -> list[float]:
-        """Returns the coordinates of a configuration (B,)."""
         body = self.manipulator.body(configuration)[:, :, : self.manipulator.dimension]
         return self.rounded(body)
 
     def rounded(self, coordinates: NDArray[np.float64]) -> list[float]:
-        """Returns coordinates flat, rounded to DIGITS."""
         return [float(x) for x in np.round(coordinates.ravel(), self._digits)]
 
 

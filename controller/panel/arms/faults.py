@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 
 class After(Enum):
-    """What happens after a fault is mended, as a sentence."""
+    """The consequence of a mended fault, as a sentence."""
 
     ITSELF = "The arm continues by itself when the cause is gone."
     RESET = "Then hold Reset."
@@ -14,14 +14,7 @@ class After(Enum):
 
 
 class FaultAdvice(NamedTuple):
-    """Advice for a fault.
-
-    Attributes:
-        mend: what to do, in one or two sentences.
-        after: what follows.
-    """
-
-    mend: str
+    mend: str  # what to do, in one or two sentences
     after: After
 
     def __str__(self) -> str:
@@ -85,6 +78,7 @@ ADVICE = {
         After.NOTHING,
     ),
     "clock-set": FaultAdvice("The computer's clock was set. No action is needed.", After.NOTHING),
+    "certificate-ends": FaultAdvice("A certificate of the daemon ends soon. Renew it.", After.NOTHING),
     "network-lost": FaultAdvice("The Zenoh router is gone. The running goal continues.", After.NOTHING),
     "ledger-unwritten": FaultAdvice("Free space on the disk, or correct the permissions of the ledger.", After.NOTHING),
     "ledger-damaged": FaultAdvice("The damaged ledger was renamed. No action is needed.", After.NOTHING),
@@ -122,5 +116,5 @@ def advised(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def common_advice(codes: Sequence[str]) -> FaultAdvice:
     """Returns one advice for the faults of one source, at least one."""
     advices = [ADVICE.get(code, UNKNOWN) for code in codes]
-    urgent = next((it for it in advices if it.after is After.ITSELF), advices[0])  # what must be mended first
+    urgent = next((it for it in advices if it.after is After.ITSELF), advices[0])  # the fault to mend first
     return urgent._replace(after=After.RESET) if any(it.after is After.RESET for it in advices) else urgent

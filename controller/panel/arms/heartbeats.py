@@ -4,26 +4,22 @@ import itertools
 import time
 from collections.abc import Callable
 
-PERIOD = 0.25  # [s] between two heartbeats, at most
-LONGEST = 2.0  # [s] age of the heartbeat that a command names, at most
+PERIOD = 0.25  # [s], longest time between two heartbeats
+LONGEST = 2.0  # [s], greatest age of the heartbeat that a command names
 KEPT = 1000  # heartbeats of a page whose times are known
 
-_numbers = itertools.count(1)  # a page's number is none of another page
+_numbers = itertools.count(1)  # unique among all pages
 
 
 class Heartbeats:
-    """The heartbeats of one page. Each has the time at which it was sent, by the server's clock alone.
-
-    Args:
-        clock: returns the time [s].
-    """
+    """The heartbeats of one page. Each has the time at which it was sent, by the server's clock alone."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._sent: dict[int, float] = {}
 
     def next(self) -> int:
-        """Returns the number of a heartbeat that is sent now."""
+        """Returns the number of a heartbeat to send now."""
         number = next(_numbers)
         self._sent[number] = self._clock()
         while len(self._sent) > KEPT:
@@ -31,7 +27,7 @@ class Heartbeats:
         return number
 
     def refusal(self, number: int | None) -> str | None:
-        """Returns why a command that names this heartbeat is too late; None: it is not. Any thread may call this."""
+        """Returns why a command that names this heartbeat is too late, or None. Thread-safe."""
         if number is None:
             return (
                 "the command names no heartbeat of the server, so its age is unknown: reload the page, then press again"

@@ -10,8 +10,11 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from starlette.requests import Request
 from starlette.responses import Response
 
+from hyperbit.controller.panel.arms.faults import ADVICE
+
 Message = Mapping[str, Any]
 
+STATUSES = ("succeeded", "canceled", "replaced", "aborted")
 MODES = ("starting", "ready", "executing", "fault", "stopped")
 MOST_ACTUATORS = 500  # larger arms have no series for each actuator: Prometheus keeps each series for weeks
 MOST_KINDS = 100  # codes or statuses of one arm; further ones are counted as "other"
@@ -22,10 +25,9 @@ class Seen(Protocol):
     """Data of one arm.
 
     Attributes:
-        name: name of the arm.
         alive: whether its daemon is running.
-        state: latest payload of `state`; None before the first.
-        diagnostics: latest payload of `diagnostics`; None before the first.
+        state: latest payload of `state`.
+        diagnostics: latest payload of `diagnostics`.
         actuators: labels, in the order of `diagnostics.counts`; empty while they are unknown.
     """
 
@@ -42,12 +44,7 @@ class Seen(Protocol):
 
 
 class Counters:
-    """Counters of results and faults. Not thread-safe.
-
-    Attributes:
-        goals: number of results by arm and status.
-        faults: number of faults that began, by arm and code.
-    """
+    """Counts results by arm and status, and new faults by arm and code. Not thread-safe."""
 
     def __init__(self) -> None:
         self.goals: Counter[tuple[str, str]] = Counter()
@@ -55,7 +52,6 @@ class Counters:
         self._active: dict[str, set[tuple[str, str]]] = {}
 
     def result(self, arm: str, message: Message) -> None:
-        """Counts a payload of `result`."""
         count(self.goals, arm, str(message.get("status")))
 
     def state(self, arm: str, message: Message) -> None:
@@ -66,7 +62,6 @@ class Counters:
         self._active[arm] = now
 
     def drop_arm(self, arm: str) -> None:
-        """Drops the counts of an arm."""
         self._active.pop(arm, None)
         for counts in (self.goals, self.faults):
             for key in [key for key in counts if key[0] == arm]:
@@ -74,13 +69,6 @@ class Counters:
 
 
 def endpoint(arms: Callable[[], Iterable[Seen]], counters: Counters) -> Callable[[Request], Response]:
-    """Returns the endpoint of GET /metrics.
-
-    Args:
-        arms: returns all known arms.
-        counters: counts of results and faults.
-    """
-
     def metrics(request: Request) -> Response:
         return Response(exposition(arms(), counters), media_type=CONTENT_TYPE_LATEST)
 
@@ -88,8 +76,6 @@ def endpoint(arms: Callable[[], Iterable[Seen]], counters: Counters) -> Callable
 
 
 def exposition(arms: Iterable[Seen], counters: Counters) -> bytes:
-    """Returns all metrics as text."""
-
     class Collector:
         def collect(self) -> Iterator[Metric]:
             return iter(figures(arms, counters))
@@ -100,20 +86,21 @@ def exposition(arms: Iterable[Seen], counters: Counters) -> bytes:
 
 
 def figures(arms: Iterable[Seen], counters: Counters) -> list[Metric]:
-    """Returns all metrics; values that an arm has not published are left out."""
+    """Returns all metrics; omits values that an arm has not published."""
     info = GaugeMetricFamily("hyperbit_build_info", "Version of hyperbit.", labels=["version"])
     info.add_metric([version("hyperbit")], 1.0)
     goals = CounterMetricFamily("hyperbit_goals", "Results of goals, jogs included.", labels=["arm", "status"])
     faults = CounterMetricFamily("hyperbit_faults", "Faults that began.", labels=["arm", "code"])
-    for family, counts in ((goals, counters.goals), (faults, counters.faults)):
-        for labels, number in counts.items():
-            family.add_metric(labels, number)
     seen = list(arms)
+    # A series that begins with its first event has no increase in Prometheus, so each begins with 0.
+    for family, counts, kinds in ((goals, counters.goals, STATUSES), (faults, counters.faults, tuple(ADVICE))):
+        every = dict.fromkeys(((arm.name, kind) for arm in seen for kind in kinds), 0) | counts
+        for labels, number in every.items():
+            family.add_metric(labels, number)
     return [info, goals, faults, *of_states(seen), *of_diagnostics(seen)]
 
 
 def of_states(arms: Iterable[Seen]) -> list[Metric]:
-    """Returns the metrics of `state` and liveliness."""
     alive = GaugeMetricFamily("hyperbit_alive", "Whether the arm's daemon is there.", labels=["arm"])
     simulated = GaugeMetricFamily("hyperbit_simulated", "Whether the arm's boards are simulated.", labels=["arm"])
     mode = GaugeMetricFamily("hyperbit_mode", "1 for the mode that the arm is in.", labels=["arm", "mode"])
@@ -133,7 +120,6 @@ def of_states(arms: Iterable[Seen]) -> list[Metric]:
 
 
 def of_diagnostics(arms: Iterable[Seen]) -> list[Metric]:
-    """Returns the metrics of `diagnostics`."""
     per_actuator = CounterMetricFamily("hyperbit_switches", "Switches of an actuator.", labels=["arm", "actuator"])
     all_switches = CounterMetricFamily("hyperbit_arm_switches", "Switches of all actuators.", labels=["arm"])
     late = GaugeMetricFamily(
@@ -186,26 +172,21 @@ def count(counts: Counter[tuple[str, str]], arm: str, kind: str) -> None:
 
 
 def put(family: GaugeMetricFamily | CounterMetricFamily, labels: list[str], value: object) -> None:
-    """Adds a value to a metric if it is a number."""
     if isinstance(value, int | float):
         family.add_metric(labels, float(value))
 
 
 def number(value: object) -> float:
-    """Returns a number as float; 0 for any other value."""
     return float(value) if isinstance(value, int | float) else 0.0
 
 
 def sequence(value: object) -> list[Any]:
-    """Returns a list; an empty one for any other value."""
     return value if isinstance(value, list) else []
 
 
 def mapping(value: object) -> Message:
-    """Returns a mapping; an empty one for any other value."""
     return value if isinstance(value, dict) else {}
 
 
 def mappings(value: object) -> list[Message]:
-    """Returns the mappings of a list; an empty list for any other value."""
     return [it for it in sequence(value) if isinstance(it, dict)]

@@ -16,21 +16,11 @@ _numbers = itertools.count(1)
 
 
 class Page:
-    """One open page. Used only on the event loop of the pages.
-
-    Attributes:
-        person: the person who opened it.
-        number: unique number of the page.
-        heartbeats: sent to the page with each message, at least every PERIOD seconds.
-
-    Args:
-        person: the person who opened it.
-        clock: returns the time of heartbeats [s].
-    """
+    """One open page. Used only on the event loop of the pages."""
 
     def __init__(self, person: Person, clock: Callable[[], float] = time.monotonic) -> None:
         self.person, self.number = person, next(_numbers)
-        self.heartbeats = Heartbeats(clock)
+        self.heartbeats = Heartbeats(clock)  # sent to the page with each message, at least every PERIOD seconds
         self._latest: dict[str, bytes] = {}
         self._replies: list[bytes] = []
         self._news = asyncio.Event()
@@ -73,7 +63,6 @@ class Control:
         self._since = 0.0
 
     def described(self) -> dict[str, object]:
-        """Returns the person and the page that have control, for JSON."""
         holder = self._holder
         return {
             "name": None if holder is None else holder.person.name,
@@ -90,11 +79,9 @@ class Control:
         return None
 
     def take_control(self, page: Page) -> None:
-        """Gives control to a page."""
         self._holder, self._since = page, time.time()
 
     def release_control(self, page: Page) -> bool:
-        """Releases the control of a page; returns whether the page had control."""
         had = self._holder is page
         if had:
             self._holder = None
@@ -102,21 +89,12 @@ class Control:
 
 
 class RateLimit:
-    """A rate limit (token bucket).
-
-    Attributes:
-        refused: consecutive refusals.
-
-    Args:
-        rate: actions per second [1/s].
-        most: most actions in a burst.
-        clock: returns the time [s].
-    """
+    """A rate limit (token bucket): `rate` actions per second [1/s], at most `most` in a burst."""
 
     def __init__(self, rate: float, most: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._rate, self._most, self._clock = rate, most, clock
         self._tokens, self._at = most, clock()
-        self.refused = 0
+        self.refused = 0  # consecutive refusals
 
     def take_token(self) -> bool:
         """Returns whether an action is allowed now, and counts it."""

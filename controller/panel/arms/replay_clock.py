@@ -9,11 +9,7 @@ JITTER = 0.5  # [s]; a smaller step is the jitter of messages
 
 
 class ReplayClock:
-    """The present time in a recording. Not thread-safe.
-
-    Args:
-        clock: CLOCK_MONOTONIC [s].
-    """
+    """The present time in a recording. `clock`: CLOCK_MONOTONIC [s]. Not thread-safe."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -24,7 +20,7 @@ class ReplayClock:
         return min(self._at + (self._clock() - self._heard) * self._speed, self._end)
 
     def hear(self, timeline: Mapping[str, Any]) -> Literal["back", "forward"] | None:
-        """Accepts a payload of `timeline`; returns where the replay was moved to, None if it runs on."""
+        """Accepts a payload of `timeline`; returns the direction of a jump, None if the replay runs on."""
         before, speed = self(), self._speed
         self._at, self._heard, self._end = float(timeline["at"]), self._clock(), float(timeline["end"])
         self._speed = 0.0 if timeline.get("paused") else float(timeline.get("speed", 1.0))

@@ -1,4 +1,4 @@
-"""What the executor last said: its snapshot in the planner's terms, the mode and the connection."""
+"""The latest state of the executor: its snapshot in the planner's terms, the mode and the connection."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Measured = NDArray[np.int8]  # actuator states, -1 unknown
 
 
 def measured_states(measured: bytes, known: bytes, actuators: int) -> Measured:
-    """Unpacks measured states to shape (A,); -1 where they are not known."""
+    """Unpacks measured states to shape (A,); -1 where they are unknown."""
     states = unpack_states(measured, actuators).astype(np.int8)
     return np.where(unpack_states(known, actuators) == 1, states, -1).astype(np.int8)
 
@@ -50,7 +50,6 @@ class ArmState:
 
     @cached_property
     def sensed(self) -> NDArray[np.bool_]:
-        """Which actuators have an end-stop."""
         return self.unpacked(self.snapshot.sensed).astype(np.bool_)
 
     @cached_property
@@ -87,17 +86,17 @@ class ArmState:
 
     @cached_property
     def unread(self) -> list[str]:
-        """Labels of the actuators that were switched, and that neither an end-stop nor a read has told of yet."""
+        """Labels of switched actuators whose state neither an end-stop nor a read has confirmed."""
         return [self.manipulator.actuators[k] for k in np.flatnonzero(self.unpacked(self.snapshot.unread))]
 
     @cached_property
     def known(self) -> bool:
-        """Whether each actuator's state is known or will be homed. It is not while a board is missing."""
+        """Whether each actuator's state is known or will be homed. False while a board is missing."""
         return bool(((self.measured >= 0) | self.homing).all())
 
     @cached_property
     def _spelled(self) -> Configuration | str | None:
-        """The configuration to plan from, or why the states spell none; None if they are not known."""
+        """The configuration to plan from, or why the states form none; None if they are unknown."""
         try:
             return self.manipulator.configuration(self.states) if self.known else None
         except ValueError as error:
@@ -105,17 +104,17 @@ class ArmState:
 
     @property
     def configuration(self) -> Configuration | None:
-        """The configuration to plan from, shape (B,); None if the states spell none or are not known."""
+        """The configuration to plan from, shape (B,); None if the states form none or are unknown."""
         return None if isinstance(self._spelled, str) else self._spelled
 
     @property
     def unknown_state(self) -> str | None:
-        """Why the arm at rest is in no configuration; None if it is in one, moves, or a board is missing."""
+        """Why the resting arm is in no configuration; None if it is in one, moves, or a board is missing."""
         return self._spelled if isinstance(self._spelled, str) and not self.snapshot.moving else None
 
     @cached_property
     def locked_states(self) -> bytes:
-        """The state in which each actuator is locked, as in `Tables`; 255 if it is free or not known."""
+        """The state in which each actuator is locked, as in `Tables`; 255 if it is free or unknown."""
         return np.where(self.locked, self.measured, -1).astype(np.int8).tobytes()
 
     def pack(self, stages: States) -> list[bytes]:
@@ -127,29 +126,29 @@ class ArmState:
         return packed(np.where(self.locked, self.commanded, self.unpacked(states)))
 
     def unpacked(self, states: bytes) -> States:
-        """Returns packed states as an array (A,); no bytes are zeros."""
+        """Unpacks states to an array (A,); empty bytes mean zeros."""
         actuators = len(self.manipulator.actuators)
         return unpack_states(states, actuators) if states else np.zeros(actuators, np.uint8)
 
 
 class ExecutorView:
-    """What the executor last said, and whether it is connected; `travel` is the longest time of an actuator [s]."""
+    """The executor's latest state and connection; `travel` is the longest time of an actuator [s]."""
 
     def __init__(self, manipulator: Manipulator, travel: float, pace: Pace) -> None:
         self.manipulator = manipulator
         self.state: ArmState | None = None  # at the latest snapshot
         self.diagnostics: Diagnostics | None = None  # the latest; None while not connected
         self.instance: int | None = None  # of the latest executor; None before the first connection
-        self.connected, self.problem = False, "waiting for the executor"  # why there is no connection
+        self.connected, self.problem = False, "waiting for the executor"  # the problem: why there is no connection
         self.counted: int | None = None  # switches of all actuators when the first executor was met
         self.simulation: Payload | None = None  # of simulated boards, for `arm`; None: real boards, or no connection
         self._travel, self._pace = travel, pace
-        self._switched_at = np.full(len(manipulator.actuators), -np.inf)  # according to the snapshots
+        self._switched_at = np.full(len(manipulator.actuators), -np.inf)  # time of the last switch, from snapshots [s]
         self._was_connected = False
         self._sentence, self._shown_for = "", ""
 
     def receive_welcome(self, message: Welcome, known: tuple[int, ...]) -> None:
-        """Takes the greeting of an executor; `known` are the ledger's counts of switches."""
+        """Handles the greeting of an executor; `known` are the ledger's counts of switches."""
         self.instance, self.connected = message.instance, True
         self.problem, self.simulation = "waiting for the executor's first snapshot", None
         if (boards := message.simulation) is not None:
@@ -178,13 +177,13 @@ class ExecutorView:
     def ended(self, sentence: str) -> None:
         """Sets the sentence on the end of a program; the mode shows it until the executor gives another reason.
 
-        An end that is told before the first snapshot may be long ago.
+        An end reported before the first snapshot may be long past, so it is ignored.
         """
         if self.state is not None and self.state.snapshot.mode in ("executing", "ready"):
             self._sentence, self._shown_for = sentence, ""
 
     def ready_at(self, state: ArmState, stage: bytes, strict: bool) -> float:
-        """Returns the earliest time of a packed stage [s]: the last one has ended, and its actuators have rested."""
+        """Returns the earliest start of a packed stage [s]: the last one has ended, and its actuators have rested."""
         waits, rest, ready = self._pace.inrush is not None or strict, self._pace.rest, -np.inf
         if waits or rest > 0:
             differ = state.commanded != state.unpacked(state.real(stage))

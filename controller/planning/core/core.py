@@ -6,7 +6,6 @@ import logging
 import math
 import traceback
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from hyperbit.controller import program
@@ -33,29 +32,25 @@ if TYPE_CHECKING:
     from hyperbit.controller.arm.arm import Arm
     from hyperbit.controller.motion.stages.pacing import Pace
 
-# Fields that the core does not look inside: the flight recorder leaves them out.
+# Opaque fields for the core; the flight recorder omits them.
 OPAQUE: dict[type, str] = {Tables: "solvers", VersionedScene: "keep_out", ImprovePlan: "plan", Planned: "plan"}
 CALM = 0.003  # [s] after an action that is not a report, before the next report
 LAST_RESULTS_WITHIN = 1.0  # [s] at the end for the executor to end the running goal
 
 
 class Beginning(NamedTuple):
-    """What the core knows at its start."""
-
-    name: str  # of this process, distinct from those of all others; a part of ids
+    name: str  # of this process, unique; a part of ids
     tables: Tables  # for the locks of the arm's file
     scene: VersionedScene  # the obstacles of the arm's file
     obstacles: int  # their number
     counts: tuple[int, ...]  # switches of each actuator, of the ledger
     # Results that earlier planner processes published, and goals that they accepted without a result in the ledger.
-    published: Mapping[events.Identity, events.ResultEntry] = MappingProxyType({})
-    owed: Mapping[events.Identity, events.AcceptanceEntry] = MappingProxyType({})
-    simulated: bool = False  # whether this process serves an executor with simulated boards; it connects to no other
+    published: Mapping[events.Identity, events.ResultEntry]
+    owed: Mapping[events.Identity, events.AcceptanceEntry]
+    simulated: bool  # whether this process serves an executor with simulated boards; it connects to no other
 
 
 class Core:
-    """Plans goals, and has the executor run them."""
-
     def __init__(self, arm: Arm, pace: Pace, beginning: Beginning) -> None:
         manipulator, searches, tracker = arm.manipulator, arm.settings.method == MINIMUM_SWITCH, arm.settings.tracker
         self.ended = False  # whether the process may end, after a `Quit`
@@ -133,7 +128,7 @@ class Core:
             case events.Recorded(entry):
                 self._programs.recorded(entry)
                 self._results.recorded(entry)
-            case events.LinkDown(reason):  # or there is no connection for another reason than before
+            case events.LinkDown(reason):  # or the reason has changed
                 was = self._view.connected
                 self._view.lost(reason)
                 if was:
@@ -145,7 +140,7 @@ class Core:
                 self._requests.unsent(number, reason)
             case events.Warned(warnings):
                 self._status.warnings = warnings
-            case Quit() if self._quit_at is None:  # refuses what waits, ends the running goal, and stays connected
+            case Quit() if self._quit_at is None:  # refuses waiting requests, ends the goal, stays connected
                 self._quit_at = self._moment.now + LAST_RESULTS_WITHIN
                 self._goals.quitting = True
                 self._queries.end_queries()
@@ -154,7 +149,7 @@ class Core:
                     self._programs.end(running, Reason.SHUTTING_DOWN.sentence)
 
     def _answer(self, request: events.Request) -> None:
-        """Takes a request; what fails is answered, and does not end the process."""
+        """Handles a request. A failure is answered, and does not end the process."""
         try:
             match request.key, request.message:
                 case "goal" | "jog", _:
@@ -215,7 +210,7 @@ class Core:
                 self._silent, self._alive_at = 0, self._moment.now
 
     def _keep_alive(self) -> None:
-        """Tells the executor that the planner is alive, and detects an executor that is silent.
+        """Reports to the executor that the planner is alive, and detects a silent executor.
 
         Silence is counted in keep-alives, so that a stop of this process does not count as the executor's silence.
         """

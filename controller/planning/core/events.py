@@ -22,7 +22,7 @@ class CancelMessage(NamedTuple):
 
 class SentObstacles(NamedTuple):
     obstacles: Any  # decoded for the workers
-    regions: list[Any]  # as they came, for the description of the arm
+    regions: list[Any]  # unchanged, for the description of the arm
 
 
 Key = Literal["goal", "jog", "plan", "cancel", "stop", "reset", "degrade", "obstacles", "fault", "arm"]
@@ -35,12 +35,12 @@ Message = GoalMessage | Jog | CancelMessage | DegradeMessage | SentObstacles | F
 
 class Arrival(NamedTuple):  # of a request, set-point or measured tip at the gateway
     number: int  # from 1, ascending; requests may reach the core in another order: their numbers decide
-    at: float  # [s, the monotonic clock]; after a standstill its beginning, because the request may have waited since
+    at: float  # [s, monotonic]; after a standstill its start, because the request may have waited since
 
 
 class Request(NamedTuple):  # of a client; it is answered by exactly one `Reply`
     arrival: Arrival
-    key: Key  # a `stop`, and a `cancel` without an id, was sent to the executor before, as its request of this number
+    key: Key  # a `stop`, or `cancel` without id, went to the executor before, as request of this number
     message: Message
     wall: float  # time of arrival [UNIX s]
 
@@ -161,7 +161,7 @@ class Start(NamedTuple):  # answered by one or several `Answered` of this number
     task: Task
 
 
-class Abandon(NamedTuple):  # its worker ends the task soon; the last answer comes nevertheless
+class Abandon(NamedTuple):  # its worker ends the task soon; the last answer still comes
     number: int
 
 

@@ -40,32 +40,44 @@ class Goal:
     job: int | None = None  # number of the task that plans, checks or improves it
 
     # --- while it waits
-    basis: Basis | None = None  # what the plan holds for
+    basis: Basis | None = None  # premises of the plan
     planned: Planned | States | None = None  # plan, or stages (k, A) of a jog; None: none for the present basis
-    waits: ArmState | None = None  # the snapshot after which it is offered again; None: it does not wait for one
+    waits: ArmState | None = None  # it is offered again after a newer snapshot; None: it does not wait
     plan_by: float | None = None  # end of its planning by its own deadline [s]; None: it has not begun, or has none
-    why: Refusal | None = None  # why it was planned or offered again, and would be refused then
+    why: Refusal | None = None  # reason for the last repetition; becomes the refusal if time runs out
 
     # --- from its offer on, see `make_program`
     program: Program = field(init=False)  # as it was sent
     report: GoalReport | None = None  # None: a jog has no path and no feedback
     feed: Feed = field(init=False)
-    answer: dict[str, Any] = field(init=False)  # waits until the ledger has the acceptance
+    answer: dict[str, Any] = field(init=False)  # sent when the ledger has the acceptance
     delay: float = 0.0  # the trajectory's t = 0 in the program's time [s]
-    unchecked: bool = False  # whether it cannot be checked, because it is not known where the arm is
+    unchecked: bool = False  # it cannot be checked: the arm's position is unknown
 
     # --- from its acceptance on
     begin: float = 0.0  # the program's zero of time [s]
+    stage_began: float = 0.0  # when its latest stage began [s]
     unrecorded: int | None = None  # entry of the acceptance that the ledger does not have yet
     outcome: GoalOutcome | None = None  # the planner's reason to end it; the executor's result follows
     deviates: bool = False  # whether the deviations of its points are still awaited
     held: deque[Settled | Ended] = field(default_factory=deque)  # reports that wait for the deviations, in order
     checking: int | None = None  # number of the task that checks its next stages
-    switches: int = 0  # as the executor told last
+    switches: int = 0  # as last reported by the executor
+
+    @property
+    def end(self) -> float:
+        """When its last stage is expected to end [s]; in the past if the arm is late or waits."""
+        return self.begin + self.feed.end(self.stage_began - self.begin)
+
+    def progress(self, wall: float) -> dict[str, Any]:
+        """Returns how far it is; `wall`: UNIX time of the zero of the planner's clock [s]."""
+        reached, waypoints = (0, 1) if self.report is None else (self.report.reached, self.report.count)
+        begins, ends = (round(wall + moment, 1) for moment in (self.begin, self.end))
+        return {"waypoints": waypoints, "reached": reached, "begins": begins, "ends": ends}
 
 
 def jog_stages(parts: Parts, state: ArmState, wanted: dict[int, int]) -> States:
-    """Returns the stages (k, A) that switch actuators to new states; raises Refusal if one is locked."""
+    """Returns the stages (k, A) that switch actuators to new states. Raises Refusal if one is locked."""
     labels = state.manipulator.actuators
     for k in wanted:
         if state.locked[k]:
@@ -76,7 +88,7 @@ def jog_stages(parts: Parts, state: ArmState, wanted: dict[int, int]) -> States:
 
 
 def unsure_of(state: ArmState) -> str | None:
-    """Returns why the stages of a jog from a state cannot be checked for collisions; None if they can."""
+    """Returns why a jog's stages from a state cannot be checked for collisions; None if they can."""
     if state.unknown_state is not None or state.configuration is None:
         return "the arm is in no configuration"
     if (unknown := np.flatnonzero(state.homing)).size:
@@ -86,7 +98,7 @@ def unsure_of(state: ArmState) -> str | None:
 
 
 def make_program(parts: Parts, goal: Goal, state: ArmState) -> None:
-    """Sets the program of a planned goal or jog, and what belongs to it while it is in flight.
+    """Sets the program of a planned goal or jog, and the fields that are used in flight.
 
     Raises Refusal if the trajectory has ended before it was planned.
     """

@@ -37,7 +37,7 @@ class Goals:
 
     A goal is planned from where the arm is, or from where its running stage ends. If the arm, the obstacles or the
     locks change before the program is sent, the goal is planned anew at once. A request that was not accepted by its
-    time is refused, wherever it is.
+    time is refused at any stage.
     """
 
     def __init__(self, parts: Parts, premises: Premises, programs: Programs, prepares: bool) -> None:
@@ -52,7 +52,7 @@ class Goals:
 
     @property
     def all(self) -> list[Goal]:
-        """The requests that wait, the one that is planned or offered first."""
+        """All waiting requests; the one being planned or offered comes first."""
         return [*filter(None, [self._current]), *self._waiting]
 
     def queue(self, request: Request) -> None:
@@ -71,7 +71,7 @@ class Goals:
             self._programs.pause_improvement()
 
     def advance(self) -> None:
-        """Brings the first request as far as it can go now. Call at the end of each step."""
+        """Advances the first request as far as possible. Call at the end of each step."""
         self.due = math.inf
         self.refuse_late()
         while True:
@@ -85,13 +85,13 @@ class Goals:
                 return
 
     def refuse_late(self) -> None:
-        """Refuses the requests that may no longer begin, but for one that the executor has."""
+        """Refuses the requests that may no longer begin. A request that the executor has is exempt."""
         for goal in self.all:
             if goal.state == "waiting":
                 self._attempt(goal, self._check)
 
     def _attempt(self, goal: Goal, advance: Callable[[Goal], None]) -> bool:
-        """Advances a request; returns False if that has ended it, with the refusal that was raised."""
+        """Advances a request; returns False if a refusal ended it."""
         try:
             advance(goal)
             return True
@@ -105,7 +105,7 @@ class Goals:
     # --- the executor
 
     def _offered(self, number: int | None = None) -> Goal | None:
-        """Returns the request whose program waits for the executor's answer, if the program has this number."""
+        """Returns the request whose program waits for the executor's answer, if `number` matches."""
         goal = self._current
         if goal is None or goal.state != "offered" or number not in (None, goal.program.program):
             return None
@@ -118,7 +118,7 @@ class Goals:
         self._programs.accepted(message)
 
     def declined(self, message: Declined) -> None:
-        """Offers a program again from where the arm has moved to, or refuses the request."""
+        """Offers a program again from the arm's new state, or refuses the request."""
         self._programs.withdraw(message.program)
         if (goal := self._offered(message.program)) is None:
             return
@@ -184,7 +184,7 @@ class Goals:
         return Refusal(Reason.ARM_MOVED)
 
     def _waits(self, goal: Goal, longest: float) -> bool:
-        """Returns whether a request may wait longer; if so, notes until when [s]."""
+        """Returns whether a request may wait longer; if so, stores until when [s]."""
         self.due = min(self.due, goal.since + longest)
         return self._moment.now < goal.since + longest
 
@@ -243,7 +243,7 @@ class Goals:
         self._refuse(goal, refusal)
 
     def _drop(self, goal: Goal) -> None:
-        """Removes a request that is answered, or answered elsewhere from now on."""
+        """Removes a request that is answered, or will be answered elsewhere."""
         self._jobs.abandon(goal.job)
         goal.job = None
         if goal is self._current:
@@ -278,18 +278,17 @@ class Preparation:
         self._idle_since, self._rehearse_until = 0.0, -math.inf  # [s]
 
     def end(self) -> None:
-        """Frees the worker, because a request has come."""
         self._parts.jobs.abandon(self._job)
         self._job = self._prepared = None
 
     def begin(self, planned: GoalMessage | Jog | None) -> None:
-        """Notes that no request is planned any more; `planned` was."""
+        """Records that no request is being planned any more; `planned` was the last one."""
         self._idle_since = now = self._parts.moment.now
         if isinstance(planned, GoalMessage) and len(planned.waypoints) == 1:
             self._last, self._rehearse_until = planned, now + REHEARSE_FOR
 
     def advance(self) -> float:
-        """Prepares or rehearses, if it is time; returns when to call again while no request waits [s]."""
+        """Prepares or rehearses when due; returns when to call again while no request waits [s]."""
         state, now = self._parts.view.state, self._parts.moment.now
         if not self._prepares or self._job is not None:
             return math.inf

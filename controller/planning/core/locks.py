@@ -1,4 +1,4 @@
-"""The locked actuators, and whether the planner's tables are those for them.
+"""The locked actuators, and whether the planner's tables match them.
 
 The executor owns which actuators are locked. The planner owns the tables, and knows which locks leave each module a
 state.
@@ -23,8 +23,6 @@ from hyperbit.controller.refusals.refusal import Refusal, no_actuator
 
 
 class Locks:
-    """The locked actuators of one arm, and the tables for them."""
-
     def __init__(self, parts: Parts, tables: Tables) -> None:
         self._view, self._jobs, self._act = parts.view, parts.jobs, parts.act
         self._built, self._building, self._locked = tables, False, tables.locked
@@ -65,7 +63,7 @@ class Locks:
         self._rebuild()
 
     def actuator(self, message: DegradeMessage, state: ArmState) -> int:
-        """Returns the index of the actuator, or raises Refusal; the executor decides on the rest."""
+        """Returns the index of the actuator, or raises Refusal; the executor decides the rest."""
         manipulator = self._view.manipulator
         if message.actuator not in manipulator.actuators:
             raise no_actuator("actuator", message.actuator, manipulator.actuators)

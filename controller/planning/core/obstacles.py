@@ -1,7 +1,7 @@
 """The obstacles of the arm's file, and those sent since: their generation, checks among them, and requests for others.
 
-A new generation counts from its request on. Until its scene is built, and all that is in flight was checked among it,
-no stage begins that was not.
+A new generation counts from its request on. No unchecked stage begins until the new scene is built and all stages in
+flight were checked in it.
 """
 
 import math
@@ -19,13 +19,13 @@ from hyperbit.controller.program import Clearance, Question
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 
-CHECKED_AGAIN = 1.0  # [s] after a check of where the arm stands that has failed
-LONGEST = 5.0  # [s] for which the answer to new obstacles waits for the checks of what is in flight
+CHECKED_AGAIN = 1.0  # [s] until a failed check of the resting arm is repeated
+LONGEST = 5.0  # [s], longest wait of the answer to new obstacles for checks of programs in flight
 
 
 @dataclass(eq=False)
 class Change:
-    """A request for other obstacles that is not answered yet."""
+    """An unanswered request for other obstacles."""
 
     request: int
     at: float  # time of arrival [s]
@@ -42,7 +42,7 @@ class ObstacleOwner:
         self._built_of: SentObstacles | None = None  # its message
         self._changes: list[Change] = []
         self._questions: list[Question] = []
-        self._standing_seen: tuple[int, bytes, bytes] | None = None  # what the last check depends on
+        self._standing_seen: tuple[int, bytes, bytes] | None = None  # inputs of the last check
         self._standing_job: int | None = None
         self._standing_from = -math.inf  # time of the next check [s]
 
@@ -58,7 +58,7 @@ class ObstacleOwner:
     # --- requests
 
     def change(self, request: int, message: SentObstacles) -> bool:
-        """Takes other obstacles; returns whether they differ from the present ones."""
+        """Stores other obstacles; returns whether they differ from the present ones."""
         self._changes.append(Change(request, self._moment.now))
         before, obstacles = self._sent, message.obstacles
         if not len(obstacles) if before is None else same_content(before.obstacles, obstacles):
@@ -74,7 +74,7 @@ class ObstacleOwner:
             change.effects.append(effect)
 
     def answer(self, unchecked: list[str], at_once: bool = False) -> None:
-        """Answers requests if all that is in flight is checked; `unchecked` are the ids of goals that are not."""
+        """Answers requests if all programs in flight are checked; `unchecked` are the ids of goals that are not."""
         if self.scene is None:
             if at_once:
                 self._refuse(Refusal(Reason.SHUTTING_DOWN))
@@ -94,7 +94,7 @@ class ObstacleOwner:
             return
         if isinstance(answer, SceneBuilt):
             self._built, self._built_of = answer, self._sent
-        else:  # the obstacles before stay in force, as a new generation, because what is in flight was parked
+        else:  # the previous obstacles stay valid, as a new generation, because all programs were parked
             self.generation += 1
             self._built = self._built._replace(scene=self._built.scene._replace(generation=self.generation))
             self._sent = self._built_of
@@ -111,7 +111,7 @@ class ObstacleOwner:
     # --- the executor's questions
 
     def ask(self, question: Question) -> None:
-        """Answers the executor: what a stage collides with, from states for which it was not planned."""
+        """Answers the executor: with what a stage collides from states for which it was not planned."""
         scene = self.scene
         if scene is None:
             self._questions.append(question)

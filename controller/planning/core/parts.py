@@ -1,4 +1,4 @@
-"""What all parts of the core ask: the time, the order of requests, tasks under way, and the numbers of programs.
+"""Shared by all parts of the core: the time, the order of requests, tasks under way, and the numbers of programs.
 
 A cancel, stop or reset bars every goal and every stream of set-points that arrived before it. The planner decides by
 the numbers of arrivals, the executor by epoch. While a cancel is unanswered, new requests belong to the epoch that
@@ -19,9 +19,9 @@ from hyperbit.controller.planning.core.tasks import Answer, PrepareSearch, Task
 if TYPE_CHECKING:
     from hyperbit.controller.motion.stages.pacing import Pace
 
-HUNG = 60.0  # [s] after which a worker that was told to abandon its task counts as hung
-MOST_UNRESOLVED = 256  # tickets without an epoch; without an executor each stream of set-points leaves one
-MOST_CANCELED = 256  # ids whose cancels are kept for requests that arrived before and reach the core after them
+HUNG = 60.0  # [s] after which a worker with an abandoned task counts as hung
+MOST_UNRESOLVED = 256  # tickets without an epoch; each stream of set-points without an executor leaves one
+MOST_CANCELED = 256  # remembered cancels of ids, for requests that arrived earlier but reach the core later
 OnAnswer = Callable[[Answer], None]
 
 
@@ -57,7 +57,7 @@ class Admission:
         return ticket
 
     def bar(self, request: int) -> None:
-        """Bars all earlier requests: a cancel, stop or reset goes to the executor as its request of this number."""
+        """Bars all earlier requests: a cancel, stop or reset of this number goes to the executor."""
         self._barred = max(self._barred, request - 1)
         self.fence(request)
 
@@ -69,7 +69,7 @@ class Admission:
             del self._canceled[next(iter(self._canceled))]
 
     def fence(self, request: int) -> None:
-        """Notes a request to the executor that begins a new epoch if the executor accepts it."""
+        """Records a request to the executor that begins a new epoch if the executor accepts it."""
         self._latest = max(self._latest, request)
         self._pending |= {request}
 
@@ -78,7 +78,7 @@ class Admission:
         self._replaced = max(self._replaced, ticket.number)
 
     def answered(self, request: int) -> None:
-        """Notes that the executor answered such a request, or that it could not be sent."""
+        """Records that the executor answered such a request, or that it could not be sent."""
         if request in self._pending:
             self._pending -= {request}
             self._current = False
@@ -101,7 +101,7 @@ class Admission:
         return ticket.number <= self._barred or canceled or changed
 
     def stream_ended(self, ticket: Ticket) -> bool:
-        """Returns whether a stream of set-points is no longer followed, given the ticket of its first set-point."""
+        """Returns whether a stream of set-points has ended; `ticket` is that of its first set-point."""
         return ticket.number <= self._replaced or self.barred(ticket)
 
 
@@ -132,7 +132,7 @@ class Jobs:
         return self._last
 
     def abandon(self, number: int | None) -> None:
-        """Abandons a task, if there is one: its answers are dropped from now on."""
+        """Abandons a task, if there is one: its later answers are dropped."""
         if number is not None and (job := self._jobs.get(number)) is not None and job.on_answer is not None:
             job.on_answer, job.abandoned_at = None, self._moment.now
             self._act(Abandon(number))
@@ -152,7 +152,7 @@ class Jobs:
         return (job := self._jobs.get(number)) is not None and isinstance(job.task, PrepareSearch)
 
     def tick(self) -> None:
-        """Ends the process if a worker does not end a task that it was told to abandon."""
+        """Ends the process if a worker does not end an abandoned task."""
         for job in self._jobs.values():
             if job.abandoned_at is not None and self._moment.now - job.abandoned_at > HUNG:
                 job.abandoned_at = None
@@ -165,13 +165,11 @@ class Jobs:
 
 
 class Parts:
-    """What all other parts of the core share."""
-
     def __init__(
         self, view: ExecutorView, pace: Pace, name: str, act: Callable[[Action], None], simulated: bool = False
     ) -> None:
         self.view, self.pace, self.act = view, pace, act
-        self.name = name  # of this process, distinct from those of all others; a part of ids
+        self.name = name  # of this process, unique; a part of ids
         self.simulated = simulated  # whether the boards of the arm are simulated
         self.moment, self.admission = Moment(), Admission()
         self.jobs = Jobs(self.moment, act)

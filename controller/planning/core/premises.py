@@ -1,4 +1,4 @@
-"""What plans are made from: arm, tables, obstacles, and the tip bias, which is estimated from measured tips."""
+"""The premises of plans: arm, tables, obstacles, and the tip bias, which is estimated from measured tips."""
 
 from typing import NamedTuple
 
@@ -35,7 +35,7 @@ class TipBiasEstimator:
         self._last_refusal: str | None = None
 
     def receive_tip(self, payload: bytes) -> None:
-        """Takes a measured tip that has arrived, as JSON; a refused one is only counted."""
+        """Handles a measured tip, as JSON; a refused one is only counted."""
         self._counts["received"] += 1
         try:
             self._counts["accepted"] += self._measure(payload)
@@ -79,18 +79,16 @@ class TipBiasEstimator:
 
 
 class Premises(NamedTuple):
-    """The owners of what plans are made from."""
-
     view: ExecutorView
     locks: Locks
     obstacles: ObstacleOwner
     tip_bias: TipBiasEstimator | None  # None: the arm has no tracker
 
     def basis(self) -> Basis | None:
-        """Returns what a plan made now holds for; None while the arm, its tables or the obstacles are not known."""
+        """Returns the premises of a plan made now; None while the arm, its tables or the obstacles are unknown."""
         state, tables, scene = self.view.state, self.locks.tables, self.obstacles.scene
         return None if state is None or tables is None or scene is None else Basis(state.start, tables, scene)
 
     def correction(self) -> tuple[float, ...] | None:
-        """Returns the present tip bias as `dimension` numbers; None: no tracker."""
+        """Returns the present tip bias as `dimension` numbers; None without a tracker."""
         return None if self.tip_bias is None else tuple(self.tip_bias.bias().tolist())

@@ -17,8 +17,6 @@ GAVE_UP = "the planner gave up waiting for the executor"
 
 
 class Programs:
-    """The owner of goals from their offer to their end."""
-
     def __init__(self, parts: Parts, obstacles: ObstacleOwner, results: Results, improves: bool) -> None:
         self.last_accepted = 0  # number of the latest program that the executor accepted
         self._view, self._jobs, self._moment, self._act = parts.view, parts.jobs, parts.moment, parts.act
@@ -60,7 +58,7 @@ class Programs:
         self._act(ToExecutor(goal.program))
 
     def withdraw(self, number: int) -> None:
-        """Abandons a program that the executor declined or does not answer; its result will not be published."""
+        """Abandons a program that the executor declined or does not answer; its result is not published."""
         if self._goals.pop(number, None) is not None:
             self._results.waive(self._identity(number))
 
@@ -70,7 +68,7 @@ class Programs:
         self._act(ToExecutor(Cancel(0, number, GAVE_UP)))
 
     def end(self, goal: Goal, message: str, sentence: str = "") -> None:
-        """Cancels a running program at the executor; its result will be `message`. `sentence`: what the arm does."""
+        """Cancels a running program at the executor; with the result `message`. `sentence`: for the mode's reason."""
         if goal.outcome is None:
             goal.outcome = GoalOutcome("aborted", PATH_TOLERANCE_VIOLATED, message, sentence)
             self._stop_tasks(goal)
@@ -91,6 +89,7 @@ class Programs:
             self._act(ToExecutor(Cancel(0, message.program, GAVE_UP)))
             return
         goal.state, goal.begin, self.last_accepted = "running", message.begin, message.program
+        goal.stage_began = message.begin
         goal.unrecorded = entry = self._results.next_entry()
         self._unrecorded[entry] = goal
         acceptance = AcceptanceEntry(goal.id, self._moment.wall, 1 if goal.report is None else goal.report.count)
@@ -116,6 +115,7 @@ class Programs:
         match message:
             case Begun():
                 goal.switches, point = message.switches, goal.feed.begin(message.stage)
+                goal.stage_began = self._moment.now
                 if goal.report is not None:
                     goal.report.begun(point)
                 self._feed(goal)
@@ -151,7 +151,7 @@ class Programs:
     # --- obstacles
 
     def park(self, generation: int) -> None:
-        """Withdraws the stages that have not begun of all programs, because obstacles have changed."""
+        """Withdraws the pending stages of all programs, because obstacles have changed."""
         for goal in list(self._goals.values()):
             if goal.feed.checked != generation and not goal.unchecked:
                 self._stop_tasks(goal)
@@ -218,7 +218,7 @@ class Programs:
     # ---
 
     def _tell(self, goal: Goal) -> None:
-        """Publishes what waits: feedback in order, then the result."""
+        """Publishes waiting messages: feedback in order, then the result."""
         while goal.held and not goal.deviates:
             message = goal.held.popleft()
             if isinstance(message, Ended):
@@ -229,7 +229,8 @@ class Programs:
                 deviation = goal.feed.deviation(message.mark) if message.planned else None
                 feedback = goal.report.settled(message, self._view.measured_in(message), deviation)
                 if feedback is not None:
-                    self._act(Publish("feedback", feedback))
+                    remaining = round(max(goal.end - self._moment.now, 0.0), 3)
+                    self._act(Publish("feedback", {**feedback, "remaining": remaining}))
 
     def _feed(self, goal: Goal) -> None:
         if goal.state == "running" and goal.outcome is None and (message := goal.feed.message()) is not None:

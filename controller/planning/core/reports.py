@@ -1,4 +1,4 @@
-"""What is told of one goal: the context of its result, feedback at its marks, and the present waypoint."""
+"""Reports on one goal: the context of its result, feedback at its marks, and the present waypoint."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 
 class Context(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What the result of a goal or jog needs; it comes back with the result."""
+    """Data for the result of a goal or jog; the executor returns it with the result."""
 
     id: str
     waypoints: int = 1  # their number
-    last_mark: int = 0  # mark of the last waypoint, which the next five attributes describe as in `GoalTarget`
+    last_mark: int = 0  # mark of the last waypoint; the next five fields describe it, as in `GoalTarget`
     position: list[float] = []  # empty for a jog, which has no target
     tolerance: float = 0.0
     rotation: list[float] = []  # nine numbers, row by row; empty: any orientation serves
@@ -38,7 +38,6 @@ class Context(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def target(self) -> GoalTarget | None:
-        """The last waypoint; None for a jog."""
         if not self.position:
             return None
         rotation = np.array(self.rotation).reshape(3, 3) if self.rotation else None
@@ -46,7 +45,7 @@ class Context(msgspec.Struct, frozen=True, omit_defaults=True):
         return GoalTarget(np.array(self.position), self.tolerance, rotation, angle, self.configuration)
 
 
-class GoalOutcome(NamedTuple):  # the end of a goal, as its result tells it
+class GoalOutcome(NamedTuple):  # the end of a goal for its result
     status: str
     code: int
     message: str
@@ -55,7 +54,7 @@ class GoalOutcome(NamedTuple):  # the end of a goal, as its result tells it
 
 class GoalReport:
     def __init__(self, manipulator: Manipulator, goal: str, trajectory: Trajectory) -> None:
-        self.count = len(trajectory.waypoints)
+        self.count, self.reached = len(trajectory.waypoints), 0  # waypoints, and those of them that have settled
         self._manipulator, self._goal, self._trajectory = manipulator, goal, trajectory
         self._point = -1
         self._stages = 0  # since the waypoint before
@@ -77,7 +76,7 @@ class GoalReport:
 
     @property
     def target(self) -> Payload:
-        """Position and orientation of the present point; of the first point before that has begun."""
+        """Position and orientation of the present point; before its start those of the first point."""
         return self._asked(max(self._point, 0))
 
     @property
@@ -93,13 +92,14 @@ class GoalReport:
         self._point = max(point, self._point)
 
     def settled(self, message: Settled, measured: Measured, deviation: float | None) -> Payload | None:
-        """Returns the feedback of a settled point, None if it is no waypoint; `deviation` is of its transition."""
+        """Returns the feedback of a settled waypoint, None for other points; `deviation` is of its transition."""
         point, trajectory = message.mark, self._trajectory
         self._stages += message.stages
         so_far = self._deviation
         self._deviation = None if so_far is None or deviation is None else max(so_far, deviation)
         if trajectory.between(point):
             return None
+        self.reached = trajectory.last(point) + 1
         feedback = {
             "id": self._goal,
             "waypoint": trajectory.last(point),
@@ -127,7 +127,7 @@ class GoalReport:
         return f"{at}, path_tolerance {trajectory.path_tolerance:g}"
 
     def _asked(self, point: int) -> Payload:
-        """Returns position and orientation of a point; the orientation is None if any serves."""
+        """Returns position and orientation of a point; the orientation is None if any is accepted."""
         trajectory = self._trajectory
         position = trajectory.positions[point]
         if trajectory.bias is not None and point not in trajectory.fixed:

@@ -39,7 +39,7 @@ class Queries:
             self._refuse(query, Refusal(Reason.BUSY, most=MOST_WAITING, what="plan queries"))
 
     def advance(self) -> None:
-        """Starts the queries that wait for the obstacles to be built. Call at the end of each step."""
+        """Starts the queries that wait for the scene of the obstacles. Call at the end of each step."""
         premises, state = self._premises, self._parts.view.state
         for number, query in list(self._waiting.items()):
             if number in self._jobs or premises.obstacles.scene is None:
@@ -88,7 +88,7 @@ def message_of(query: Request) -> GoalMessage:
 
 
 class ExecutorRequests:
-    """Requests that the executor answers; the request's number is the number of the executor's request.
+    """Requests that the executor answers, each under the number of its arrival.
 
     A reset goes to the executor with the epoch of its arrival, so that the executor refuses it after a later stop.
     """
@@ -97,7 +97,7 @@ class ExecutorRequests:
         self._parts, self._view, self._act = parts, parts.view, parts.act
         self._locks, self._goals, self._programs, self._queries = premises.locks, goals, programs, queries
         self._pending: dict[int, float] = {}  # time of each request that is not answered yet [s]
-        self._resets: dict[int, Ticket] = {}  # those of them whose epoch is not known yet
+        self._resets: dict[int, Ticket] = {}  # pending resets without a known epoch
 
     def receive_request(self, request: Request) -> None:
         number, admission, now = request.number, self._parts.admission, self._parts.moment.now

@@ -1,4 +1,4 @@
-"""Results: each is made, published, recorded and acknowledged, in this order, whichever planner process it began in."""
+"""Results: each is made, published, recorded and acknowledged, in this order, also one of an earlier process."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ if TYPE_CHECKING:
     from hyperbit.controller.manipulator.manipulator import Manipulator
 
 LOST = "the executor ended before it told how this goal ended; where the arm is now, `state` says"
-SENT_AGAIN_WITHIN = 5.0  # [s] after its greeting, the executor has sent the results that it stores
+SENT_AGAIN_WITHIN = 5.0  # [s] after its greeting; by then the executor has sent its stored results
 
 
 @dataclass(eq=False)
 class Untold:
-    """A result on its way."""
+    """A result that is not yet acknowledged."""
 
     identity: Identity
-    result: int | None  # number at the executor, which waits for its acknowledgement; None: it does not know the result
-    accepted: AcceptanceEntry  # for a ledger that may not have it
+    result: int | None  # number at the executor, for the acknowledgement; None: unknown to the executor
+    accepted: AcceptanceEntry  # in case the ledger lacks it
     payload: Payload
 
 
 class Results:
     """The owner of results that are not yet acknowledged.
 
-    A result is published once. When the executor sends it again, it is only recorded and acknowledged. A result that
-    the ledger does not have, though an earlier planner process published it, may not have left that process. It is
-    published again, with the field `repeated`. `owed` are goals whose results the ledger does not have.
+    A result is published once. When the executor sends it again, it is only recorded and acknowledged. If the ledger
+    lacks a result that an earlier planner process published, the result may not have left that process. It is published
+    again, with the field `repeated`. `owed` are goals whose results the ledger lacks.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Results:
         self._last = 0  # number of a publication or of an entry of the ledger
         self._publishing: dict[int, Untold] = {}
         self._recording: dict[int, Untold] = {}
-        # By entry of the acceptance, which the ledger must have before.
+        # By entry of the acceptance, which the ledger must have first.
         self._deferred: dict[int, events.PublishResult] = {}
 
     @property
@@ -105,7 +105,7 @@ class Results:
         self._tell(Untold(identity, message.result, accepted, payload), goal)
 
     def lost(self, identity: Identity, data: bytes, outcome: GoalOutcome, switches: int, goal: Goal | None) -> None:
-        """Ends a program of which the executor tells nothing any more; `goal`: None if of an earlier process."""
+        """Ends a program that the executor no longer reports; `goal`: None if of an earlier process."""
         context, manipulator = decode_context(data) or Context("unknown"), self._view.manipulator
         unknown = bytes((len(manipulator.actuators) + 7) // 8)
         silent = Ended(0, identity.program, b"", "aborted", outcome.message, -1, switches, unknown, unknown)
@@ -114,18 +114,18 @@ class Results:
         self._tell(Untold(identity, None, accepted, payload), goal)
 
     def met(self, instance: int) -> None:
-        """Ends as lost what earlier executors owed, because another one has come.
+        """Ends, as lost, the results that earlier executors owed, because another executor has come.
 
-        This executor sends the results that it stores, or runs these goals still: `check` ends the others.
+        The new executor sends its stored results, or still runs these goals. `check` ends the others.
         """
         self._met_at = self._moment.now
         self._end_owed([identity for identity in self._owed if identity.instance != instance])
 
     def check(self, running: int) -> None:
-        """Ends what the present executor owes and has neither sent nor runs, once it had the time to send it.
+        """Ends, after a pause, owed programs of the present executor that it has neither sent nor runs.
 
-        It had a result, which an earlier planner process acknowledged without recording it: the disk was full.
-        `running` is the number of the program that the executor runs; -1 if none.
+        An earlier planner process acknowledged their results without recording them: the disk was full. `running` is
+        the number of the program that the executor runs; -1 if none.
         """
         if self._owed and self._moment.now > self._met_at + SENT_AGAIN_WITHIN:
             now = Identity(self._view.instance or 0, running)
@@ -139,7 +139,7 @@ class Results:
             self.lost(identity, context, outcome, 0 if mark is None else mark.switches, None)
 
     def _told_outcome(self, identity: Identity) -> GoalOutcome | None:
-        """Returns the outcome that an earlier planner process has published, perhaps in vain; otherwise None."""
+        """Returns the outcome that an earlier planner process has published, if any; clients may have missed it."""
         mark = self._doubtful.get(identity)
         return None if mark is None else GoalOutcome(mark.status, mark.code, mark.message)
 
@@ -150,7 +150,7 @@ class Results:
             self._record(untold)
 
     def recorded(self, entry: int) -> None:
-        """Acknowledges a result that was recorded, or publishes a result that waited for this acceptance."""
+        """Acknowledges a recorded result, or publishes a result that waited for this acceptance."""
         if (publication := self._deferred.pop(entry, None)) is not None:
             self._act(publication)
         untold = self._recording.pop(entry, None)
@@ -195,7 +195,7 @@ def decode_context(data: bytes) -> Context | None:
 
 
 def outcome_of(manipulator: Manipulator, ended: Ended, measured: Measured, context: Context) -> GoalOutcome:
-    """Returns the outcome of a program as the executor ended it, judged by the measured states (A,)."""
+    """Returns the outcome of a program from the executor's end and the measured states (A,)."""
     target, goal = context.target, f"goal {context.id} was"
     if ended.status != "done":
         code = codes.PATH_TOLERANCE_VIOLATED if ended.status == "aborted" else codes.INVALID_GOAL
@@ -228,7 +228,7 @@ def outcome_of(manipulator: Manipulator, ended: Ended, measured: Measured, conte
 def why_not_as_planned(planned: PlanProof | None, improved: PlanProof | None, switches: int) -> str:
     """Returns why a goal needed more or fewer switches than its answer said; "" if it needed as many.
 
-    `planned` is the plan when the goal was accepted; None for a jog. Nothing is known of `improved` if that is None.
+    `planned` is the plan when the goal was accepted; None for a jog. `improved` is the present plan; None: unknown.
     """
     if planned is None or planned.switches == switches:
         return ""
@@ -251,8 +251,8 @@ def result_of(
 ) -> Payload:
     """Returns the payload of a result.
 
-    The certificate is that of the plan from where the goal began. It stands there only if the arm did exactly the
-    switches that it speaks of; otherwise `certificate` is "unknown". Errors are given from `target`, if there is one.
+    The certificate belongs to the plan from where the goal began. It is valid only if the arm did exactly the planned
+    switches; otherwise `certificate` is "unknown". Errors are relative to `target`, if there is one.
     """
     proof, labels = context.proof, manipulator.actuators
     if context.jogged or not context.position:

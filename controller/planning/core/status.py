@@ -1,4 +1,4 @@
-"""The payloads of `state` and `diagnostics`, when they are published, and what systemd and the log are told."""
+"""The payloads of `state` and `diagnostics`, their times of publication, and messages to systemd and the log."""
 
 import logging
 import math
@@ -23,10 +23,15 @@ STATE_EVERY, DIAGNOSTICS_EVERY = 0.05, 1.0  # [s]
 LEAST_GAP = 0.002  # [s] between two states, at least
 SILENCE = 1.2 * STATE_EVERY  # [s] without a change until the next `state`; each snapshot is a change
 
+WARNINGS = frozenset(  # codes of what stops no motion
+    (
+        *("bus-passive", "board-limits", "outputs-off", "ledger-damaged", "journal", "in-obstacle", "unknown-state"),
+        *("unknown-position", "degraded"),
+    )
+)
+
 
 class Status:
-    """Makes and publishes `state` and `diagnostics`."""
-
     def __init__(
         self, parts: Parts, premises: Premises, programs: Programs, goals: Goals, queries: Queries, stream: Stream
     ) -> None:
@@ -34,7 +39,7 @@ class Status:
         self._premises, self._programs = premises, programs
         self._goals, self._queries, self._stream = goals, queries, stream
         self.warnings: tuple[Fault, ...] = ()  # of the shell, which logs them itself
-        # The fields of `state` that depend on measured actuator states only, and the packed states they are made from.
+        # The fields of `state` that depend only on measured states, and these states, packed.
         self._measured: tuple[tuple[bytes, bytes] | None, Payload] | None = None
         self.changed = True  # whether `state` may have changed since it was published
         self._published = self._diagnosed = -math.inf
@@ -42,7 +47,7 @@ class Status:
         self._logged: dict[tuple[str, str], Fault] = {}  # by code and source
 
     def report(self) -> None:
-        """Publishes what is due, and feeds systemd's watchdog."""
+        """Publishes the due messages, and feeds systemd's watchdog."""
         now = self._moment.now
         if now >= self._state_due():
             self.publish_state()
@@ -57,7 +62,7 @@ class Status:
         self._act(Publish("state", payload))
         for (code, source), fault in active.items():
             if (code, source) not in self._logged:
-                level = logging.WARNING if code == "degraded" else logging.ERROR  # an operator may have locked it
+                level = logging.WARNING if code in WARNINGS else logging.ERROR
                 self._act(Log(level, f"{code}: {fault.message}", fields_of_fault(code, source)))
         for code, source in self._logged.keys() - active.keys():
             fields = {**fields_of_fault(code, source), "MESSAGE_ID": message_id("fault-over")}
@@ -102,6 +107,7 @@ class Status:
             "goal": None if goal is None else goal.id,
             "waypoint": None if report is None else report.waypoint,
             "target": None if report is None else report.target,
+            "progress": None if goal is None else goal.progress(self._moment.wall - self._moment.now),
             "obstacles": premises.obstacles.generation,
             "faults": [*map(msgspec.structs.asdict, by_code((*self._faults(), *self.warnings)).values())],
             "degraded": [{"actuator": label, "state": locked} for label, locked in premises.locks.listed],

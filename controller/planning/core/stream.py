@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     from hyperbit.controller.arm.arm import Arm
 
 POLL = 0.005  # [s] between two considerations, at least
-ALIVE_EVERY = 0.02  # [s] between commands without news, which keep the stream alive
+ALIVE_EVERY = 0.02  # [s] between unchanged commands, which keep the stream alive
 NOTE_EVERY = 1.0  # [s] between changes of the note in `state`
-RETRY = 0.1  # [s] after a search that found nothing within tolerance, which takes longest
+RETRY = 0.1  # [s] after a search without result, which takes longest
 SEARCH_TIME = 0.005  # [s] expected for the first search
 SMOOTHING = 0.1  # weight of the latest value in running means
 LONGEST = 1_000  # characters of a reason
-MOST_SENDERS = 16  # of set-points whose pauses are told apart
+MOST_SENDERS = 16  # of set-points with separately detected pauses
 MOST_DELAY = 0.2  # [s] of a set-point between its arrival and the core
 
 
@@ -53,13 +53,13 @@ class Stream:
         self._admission, self._dimension = parts.admission, arm.manipulator.dimension
         self._default_tolerance = self._tolerance = arm.tolerance
         self._tracker, self._timeout = GoalTracker(self._dimension, tracking), tracking.timeout
-        self._lead = arm.travel_time + TICK  # of a stage
+        self._lead = arm.travel_time + TICK  # longest time of a stage [s]
         self._ticket: Ticket | None = None  # of the first set-point; None: no stream is followed
         self._sender = ""  # of the present stream
         self._senders: dict[str, tuple[Ticket, float]] = {}  # first ticket and last time [s] of each, until it pauses
         self._number, self._offset, self._searching = 0, 0.0, SEARCH_TIME
         self._heard = self._fitted = self._next_look = self._next_alive = self._next_note = self._retry = -math.inf
-        self._next_search = -math.inf  # as of the last consideration
+        self._next_search = -math.inf  # state at the last consideration
         self._job: int | None = None  # number of the search under way
         self._answer: tuple[Basis, Followed] | None = None  # not considered yet
         self._found: tuple[Basis, tuple[bytes, ...]] | None = None  # stages of the last search
@@ -70,7 +70,7 @@ class Stream:
     # --- set-points
 
     def receive_setpoint(self, arrived: SetpointArrived) -> None:
-        """Takes a set-point; a refused one is only counted."""
+        """Handles a set-point; a refused one is only counted."""
         self._received += 1
         try:
             self._take(arrived)
@@ -81,7 +81,7 @@ class Stream:
     def _take(self, arrived: SetpointArrived) -> None:
         """Assigns a set-point to the present stream, or begins a new one; refuses one of another sender.
 
-        The tracker refuses one that is stale, from the future or out of order.
+        The tracker refuses a set-point that is stale, from the future or out of order.
         """
         now, (payload, arrival, sender) = self._moment.now, arrived
         setpoint = decode(payload, self._dimension, self._default_tolerance)
@@ -149,7 +149,7 @@ class Stream:
         return max(self._next_look, min(self._next_alive, next_search))
 
     def park(self) -> None:
-        """Withdraws stages that have not begun, because the obstacles have changed."""
+        """Withdraws pending stages, because the obstacles have changed."""
         self._abandon()
         state, ticket = self._view.state, self._ticket
         if state is None or ticket is None or ticket.epoch is None or self._admission.stream_ended(ticket):
@@ -216,7 +216,7 @@ class Stream:
             self._ticket = None
 
     def _stay(self, note: str) -> None:
-        """Drops the stages that were found; `state` shows the note, which changes at most once in NOTE_EVERY."""
+        """Drops the found stages; `state` shows the note, which changes at most once in NOTE_EVERY."""
         self._found = None
         if note != self._note and self._moment.now >= self._next_note:
             self._note, self._next_note = note, self._moment.now + NOTE_EVERY

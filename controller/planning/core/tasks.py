@@ -1,7 +1,7 @@
-"""Tasks of the workers and their answers, as plain data: what a worker computes is a function of its task.
+"""Tasks of the workers and their answers, as plain data: each answer is a function of its task.
 
-Actuator states travel packed, as in the contract with the executor. `tables`, `scene` and `plan` are made by one worker
-and used by others. The core stores them, compares their generations, and does not look inside.
+Actuator states travel packed, as in the contract with the executor. One worker makes `tables`, `scene` and `plan`;
+others use them. The core stores them, compares their generations, and does not look inside.
 """
 
 from typing import Any, NamedTuple
@@ -25,14 +25,14 @@ class VersionedScene(NamedTuple):  # the obstacles, those of the arm's file and 
     keep_out: Any = None  # swept checks; opaque
 
 
-class ArmStart(NamedTuple):  # where a plan starts; two are equal if a plan from one is a plan from the other
+class ArmStart(NamedTuple):  # start of a plan; a plan holds for each equal start
     outputs: bytes  # of the boards; `Program.start`
     commanded: bytes  # states from which stages begin: the outputs, the locked state for a locked actuator
     states: bytes  # states to plan from: measured at rest, commanded while actuators travel
     locked: bytes  # mask of the locked actuators
 
 
-class Basis(NamedTuple):  # what a plan holds for; it is not used after any of the three has changed
+class Basis(NamedTuple):  # premises of a plan; the plan is dropped after a change of any of the three
     start: ArmStart
     tables: Tables
     scene: VersionedScene
@@ -70,7 +70,7 @@ class FollowSetpoint(NamedTuple):  # answered by `Followed` or `Failed`
     basis: Basis
     position: tuple[float, ...]  # of the computed tip, dimension numbers
     tolerance: float  # greatest distance from the set-point; the search uses half of it
-    bias: tuple[float, ...] | None = None  # of the tip, that corrects `position`, for the note; None: no tracker
+    bias: tuple[float, ...] | None = None  # tip bias that corrected `position`, for the note; None: no tracker
 
 
 class CheckStages(NamedTuple):  # answered by `Checked` or `Failed`
@@ -86,7 +86,7 @@ class CheckStanding(NamedTuple):  # answered by `Checked` or `Failed`
 
 class BuildScene(NamedTuple):  # answered by `SceneBuilt` or `Failed`
     generation: int
-    obstacles: Any  # that were sent
+    obstacles: Any  # the sent ones
 
 
 class BuildTables(NamedTuple):  # takes seconds; answered by `Tables` or `Failed`
@@ -118,7 +118,7 @@ class Described(NamedTuple):
 
 class Followed(NamedTuple):
     stages: tuple[bytes, ...]  # packed states after each stage; empty: the arm stays
-    note: str  # why it stays, as the end of a sentence that begins "following a setpoint"; "" if all is well
+    note: str  # why it stays; completes a sentence from "following a setpoint"; "" if it moves
     found: bool  # whether a configuration within the tolerance was found
     seconds: float  # time of the search
 
@@ -130,7 +130,7 @@ class Checked(NamedTuple):
 class SceneBuilt(NamedTuple):
     scene: VersionedScene
     total: int  # number of all obstacles
-    sent: int  # number of those sent
+    sent: int  # number of obstacles that were sent
 
 
 class Done(NamedTuple):  # the task has ended; there is nothing to tell
@@ -152,5 +152,5 @@ def refusal_of(answer: Answer) -> Refusal:
 
 
 def collision_of(answer: Answer) -> str | None:
-    """Returns the collision that a check has found, in words; a check that failed counts as one."""
+    """Returns the collision in an answer, in words; a failed check counts as a collision."""
     return answer.collision if isinstance(answer, Checked) else "a collision check failed, see the journal"

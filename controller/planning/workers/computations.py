@@ -1,4 +1,4 @@
-"""What the workers compute: each answer is a function of its task. For searches and stages see controller/motion."""
+"""Computations of the workers: each answer is a function of its task. For searches and stages see controller/motion."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -37,7 +37,7 @@ from hyperbit.controller.search.solver import Solver, search_time
 from hyperbit.controller.workspace.densities import Densities
 from hyperbit.controller.workspace.mapping import map_densities
 
-MOST_THREADS = 2  # of one plan: to search a way around obstacles, and to prove that there is none
+MOST_THREADS = 2  # of one plan: one searches a way around obstacles, one a proof that there is none
 
 # Called between two parts of a task. Returns whether the task must end soon. Raises Abandoned if the task is no longer
 # needed, Refusal if its time is over.
@@ -45,7 +45,7 @@ Proceed = Callable[[], bool]
 
 
 class Abandoned(Exception):
-    """A task is no longer needed."""
+    pass
 
 
 class ArmModel:
@@ -100,7 +100,7 @@ def build_tables(arm: Arm, densities: Densities, weights: NDArray[np.float64], t
     `weights` are the costs of a switch of each actuator, shape (A,).
 
     Raises:
-        ValueError: a module has no state with its actuators locked so.
+        ValueError: a module has no state with these locks.
     """
     locked = np.frombuffer(task.locked, dtype=np.int8)  # 255 becomes -1
     reduced = arm.reduced
@@ -123,7 +123,7 @@ def build_scene(arm: Arm, task: tasks.BuildScene) -> tasks.SceneBuilt:
 # --- goals
 
 
-class PlannedGoal(NamedTuple):  # a plan with what its improvement needs; `Planned.plan`
+class PlannedGoal(NamedTuple):  # a plan with data for its improvement; `Planned.plan`
     plan: TrajectoryPlan  # from the configuration of `start.states`
     first: Staged  # transition to the first point from `start.commanded`
     points: tuple[PlannedPoint, ...]  # of `Planned`
@@ -137,7 +137,7 @@ def plan_goal(model: ArmModel, task: tasks.PlanGoal, proceed: Proceed) -> tasks.
     The plan starts from `start.states`; the stages start from `start.commanded`. The two differ at rest if an actuator
     has not followed its output. The proof counts switches from `start.states`, the points count those of their stages.
 
-    Raises Refusal if there is no plan, and what `proceed` raises.
+    Raises Refusal if there is no plan, and the exceptions of `proceed`.
     """
     start, planner = task.basis.start, planner_of(model, task)
     found = search_plan(model, task, planner, PLANNING_TIME, proceed)
@@ -162,7 +162,7 @@ def planner_of(model: ArmModel, task: tasks.PlanGoal) -> TransitionPlanner:
 def search_plan(
     model: ArmModel, goal: tasks.PlanGoal, planner: TransitionPlanner, first: float, proceed: Proceed
 ) -> TrajectoryPlan:
-    """Returns a plan whose stages are clear, or raises Refusal; calls `proceed` again and again.
+    """Returns a plan whose stages are clear, or raises Refusal; calls `proceed` repeatedly.
 
     `first` [s] is the time for all its points together.
     """
@@ -189,7 +189,7 @@ def check_size(model: ArmModel, transitions: Sequence[Staged]) -> None:
 def points_of(
     model: ArmModel, start: ArmStart, before: bytes, transitions: Sequence[Staged], first: int = 0
 ) -> Iterator[PlannedPoint]:
-    """Yields the points of consecutive transitions, with the deviations that are known without computing them.
+    """Yields the points of consecutive transitions, with already known deviations.
 
     `before` is packed; its bits of locked actuators do not matter. `first` is the index of the first point.
     """
@@ -206,7 +206,7 @@ def points_of(
 
 
 def proof_of(found: TrajectoryPlan) -> PlanProof:
-    """Returns what is proven of a plan, from the configuration of `start.states`, in Python's own numbers."""
+    """Returns the proof of a plan from the configuration of `start.states`, in Python's own numbers."""
     return PlanProof(int(found.switches), float(found.cost), float(found.bound), found.certificate)
 
 
@@ -255,7 +255,7 @@ def prepare_search(model: ArmModel, task: tasks.PrepareSearch, proceed: Proceed)
 
 
 def describe(model: ArmModel, task: tasks.DescribePlan, proceed: Proceed, hurry: Callable[[], bool]) -> tasks.Described:
-    """Returns the description of a plan; raises Refusal if there is none, or if planning took too long.
+    """Returns the description of a plan. Raises Refusal if there is none, or if planning took too long.
 
     `hurry` returns whether the search over the whole trajectory must end early.
     """
@@ -312,13 +312,13 @@ def follow(model: ArmModel, task: tasks.FollowSetpoint) -> tasks.Followed:
 
 
 def check_stages(task: tasks.CheckStages, proceed: Proceed) -> tasks.Checked:
-    """Returns the first collision of consecutive stages; `proceed` is called before each."""
+    """Returns the first collision of consecutive stages; calls `proceed` before each."""
     keep_out: KeepOutSet = task.scene.keep_out
     before, *stages = (unpack_states(states, keep_out.actuators) for states in (task.before, *task.stages))
     return tasks.Checked(keep_out.first_collision(before, stages, proceed))
 
 
 def check_standing(task: tasks.CheckStanding) -> tasks.Checked:
-    """Returns the collision of the arm at rest; None if its states spell no configuration."""
+    """Returns the collision of the arm at rest; None if its states form no configuration."""
     keep_out: KeepOutSet = task.scene.keep_out
     return tasks.Checked(keep_out.collision_at(unpack_states(task.states, keep_out.actuators)))

@@ -1,4 +1,4 @@
-"""Plans that may take seconds, each in a process of its own: they hold neither the planner's threads nor their lock."""
+"""Plans that may take seconds, each in its own process: they occupy neither the planner's threads nor the GIL."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from hyperbit.controller.workspace.densities import Densities
 log = logging.getLogger(__name__)
 
 LONG = 1.0  # [s]: a plan with a later deadline is long
-POLL = 0.05  # [s] between two looks whether a plan is still wanted
+POLL = 0.05  # [s] between two tests whether a plan is still wanted
 START = 60.0  # [s] for a process to start and to send its answer, on a busy machine
-NICE = 10  # goals and set-points go first, where the service lets a process lower its priority
+NICE = 10  # goals and set-points have priority, if the service permits a lower priority
 SPAWN = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads
 
 
@@ -39,14 +39,14 @@ def is_long(task: tasks.Task) -> bool:
 
 
 class LongPlanner:
-    """A process that plans. It is killed with a plan that is no longer wanted, and another one starts at once."""
+    """A process that plans. It is killed with an unwanted plan, and another one starts at once."""
 
     def __init__(self, arm: Arm, weights: NDArray[np.float64]) -> None:
         self._arguments = arm, weights, version("hyperbit")
         self._start()
 
     def plan(self, task: DescribePlan, proceed: Callable[[], object]) -> Answer:
-        """Returns the answer to a task; calls `proceed` again and again, which may raise."""
+        """Returns the answer to a task; calls `proceed` repeatedly, which may raise."""
         until = time.monotonic() + START + task.seconds
         try:
             self._connection.send(packed(task))
@@ -76,7 +76,7 @@ class LongPlanner:
         self._start()
 
     def _start(self) -> None:
-        """Starts the process, which takes seconds to be ready; plans wait for it."""
+        """Starts the process, which needs seconds; plans wait for it."""
         self._connection, theirs = SPAWN.Pipe()
         self._process = SPAWN.Process(target=serve, args=(theirs, *self._arguments), name="long plans", daemon=True)
         self._process.start()
@@ -84,7 +84,7 @@ class LongPlanner:
 
 
 def packed(task: DescribePlan) -> DescribePlan:
-    """Returns a task for another process, which builds its own tables, and its scene from the obstacles sent."""
+    """Returns a task for another process, which builds its own tables and scene."""
     start, tables, scene = task.goal.basis
     basis = tasks.Basis(start, tables._replace(solvers=None), scene._replace(keep_out=scene.keep_out.sent))
     return task._replace(goal=task.goal._replace(basis=basis))
@@ -117,15 +117,13 @@ def answer_plans(connection: Connection, planner: Planner, expected: str) -> Non
 
 
 def end_with_parent() -> None:
-    """Ends this process, also within a search, when the process that has started it ends."""
+    """Ends this process, also within a search, when its parent ends."""
     if (parent := multiprocessing.parent_process()) is not None:
         wait([parent.sentinel])
         os._exit(1)
 
 
 class Planner:
-    """Plans, with the tables and obstacles of the latest plan."""
-
     def __init__(self, arm: Arm, weights: NDArray[np.float64]) -> None:
         self._arm, self._weights, self._model = arm, weights, ArmModel(arm, "queries")
         self._densities: Densities | None = None
@@ -146,7 +144,7 @@ class Planner:
             return tasks.Failed(traceback.format_exc())
 
     def prepare(self, locked: bytes) -> tasks.Tables:
-        """Returns the tables for locked states, those of the latest plan if they are the same."""
+        """Returns the tables for locked states; reuses those of the latest plan if they match."""
         arm, known = self._arm, self._tables
         if self._densities is None:
             self._densities = load_or_map(arm.reduced, arm.pixel, arm.level_pixels, default_directory())

@@ -35,7 +35,7 @@ LONG_PLANS = "long plans"  # threads that wait for processes
 
 @dataclass(eq=False)
 class QueuedTask:
-    """A task with its number. `abandoned` and `hurried` are set by the core's thread, and read by the worker's."""
+    """A task with its number. The core's thread sets `abandoned` and `hurried`; the worker's reads them."""
 
     number: int
     task: Task
@@ -43,7 +43,7 @@ class QueuedTask:
     hurried: bool = False
 
     def proceed(self) -> bool:
-        """Returns whether the task must end soon; raises Abandoned if it is no longer needed."""
+        """Returns whether the task must end soon. Raises Abandoned if it is no longer needed."""
         if self.abandoned:
             raise Abandoned
         return self.hurried
@@ -55,7 +55,7 @@ class Workers:
     Plans that may take long go to `planning.workers` processes, if there are any.
 
     Each task is answered by `Answered`; its last answer is marked. `post` takes the answers, in the workers' threads.
-    `fatal` takes the reason if a thread has ended unexpectedly, so that the process must end.
+    `fatal` takes the reason after an unexpected end of a thread: the process must end.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Workers:
         self._arm, self._densities, self._weights, self._post, self._fatal = arm, densities, weights, post, fatal
         self._for_goals, self._for_queries = ArmModel(arm, "goals"), ArmModel(arm, "queries")
         self._for_setpoints = ArmModel(arm, "setpoints")
-        self._queued: dict[int, QueuedTask] = {}  # not answered; a worker removes its own
+        self._queued: dict[int, QueuedTask] = {}  # unanswered tasks; a worker removes its own
         self._queues = {name: queue.SimpleQueue[QueuedTask | None]() for name in (*THREADS, LONG_PLANS)}
         self._processes = [LongPlanner(arm, weights) for _ in range(arm.settings.planning.workers)]
         carriers = [*((name, None) for name in THREADS), *((LONG_PLANS, process) for process in self._processes)]
@@ -80,14 +80,14 @@ class Workers:
             thread.start()
 
     def start(self, number: int, task: Task) -> None:
-        """Queues a task. It waits for those of the same thread before it: abandon what is less urgent."""
+        """Queues a task. It waits for earlier tasks of the same thread: abandon less urgent ones."""
         self._queued[number] = queued = QueuedTask(number, task)
         apart = self._processes and is_long(task)
         name = LONG_PLANS if apart else next(name for name, kinds in THREADS.items() if isinstance(task, kinds))
         self._queues[name].put(queued)
 
     def abandon(self, number: int) -> None:
-        """Lets a task end soon; a task that has not begun is answered by `Done` when its turn comes."""
+        """Makes a task end soon; a task that has not begun is answered by `Done` when its turn comes."""
         if (queued := self._queued.get(number)) is not None:
             queued.abandoned = True
 
@@ -96,7 +96,7 @@ class Workers:
             queued.hurried = True
 
     def close(self, timeout: float = 2.0) -> None:
-        """Abandons all tasks and ends the threads; one that does not end in time [s] ends with the process."""
+        """Abandons all tasks and ends the threads; one that does not end within `timeout` [s] ends with the process."""
         for queued in list(self._queued.values()):
             queued.abandoned = True
         for thread in self._threads:
@@ -115,12 +115,12 @@ class Workers:
                 last = self._answer(queued, process)
                 self._queued.pop(queued.number, None)
                 self._post(Answered(queued.number, last, True))
-        except BaseException as error:  # SystemExit too, which would end a thread without a word
+        except BaseException as error:  # also SystemExit, which would end a thread silently
             log.critical("the thread for %s has ended", name, exc_info=True)
             self._fatal(f"the planner's thread for {name} has ended: {error!r}")
 
     def _answer(self, queued: QueuedTask, process: LongPlanner | None) -> Answer:
-        """Posts all answers to a task but the last one, which it returns; no Exception leaves it."""
+        """Posts all answers to a task but the last one, which it returns. Never raises an Exception."""
         try:
             queued.proceed()
             answer = self._perform(queued, process)

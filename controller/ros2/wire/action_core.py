@@ -34,10 +34,10 @@ from hyperbit.controller.ros2.wire.action_events import (
 
 NO_UUID = bytes(16)
 RESTORED = -1  # number of the request of a restored goal, which was answered before
-MOST_GOALS = 64  # that are known at once; ended ones are forgotten early if there are more
+MOST_GOALS = 64  # known at once; above this number ended goals are forgotten early
 ACTIVE = (Status.ACCEPTED, Status.EXECUTING, Status.CANCELING)
 CANCELABLE = (Status.ACCEPTED, Status.EXECUTING)
-# From which states a goal may come to a state.
+# Permitted earlier states by new state.
 BEFORE: dict[Status, tuple[Status, ...]] = {
     Status.EXECUTING: (Status.ACCEPTED,),
     Status.SUCCEEDED: (Status.EXECUTING, Status.CANCELING),
@@ -47,57 +47,32 @@ BEFORE: dict[Status, tuple[Status, ...]] = {
 
 
 class IllegalTransition(RuntimeError):
-    """The server's program asked for a transition that a goal in its state does not have."""
+    """The program asked for a transition that the goal's state does not allow."""
 
 
 @dataclass
 class Goal:
-    """What is known of a goal.
-
-    Attributes:
-        request: of the goal, which is answered when it is decided.
-        goal: as it came with the event.
-        status: UNKNOWN until it is decided.
-        stamp: time of acceptance [ns since 1970].
-        ended: when it ended [s], on the clock of `now`.
-        result: of an ended goal.
-        waiting: requests for the result.
-    """
-
-    request: int
+    request: int  # number of the goal's request, which the decision answers
     goal: Any
     status: Status = Status.UNKNOWN
-    stamp: int = 0
-    ended: float = 0.0
+    stamp: int = 0  # time of acceptance [ns since 1970]
+    ended: float = 0.0  # on the clock of `now` [s]
     result: Any = None
-    waiting: list[int] = field(default_factory=list)
+    waiting: list[int] = field(default_factory=list)  # requests for the result
 
 
 class ActionCore:
-    """All goals of one action server.
-
-    Attributes:
-        goals: by id, in the order of their requests.
-
-    Args:
-        result_timeout: how long the result of an ended goal is kept [s].
-        most_goals: number of goals that are known at once.
-    """
+    """All goals of one action server, at most `most_goals`. Results are kept for `result_timeout` [s]."""
 
     def __init__(self, result_timeout: float = 10.0, most_goals: int = MOST_GOALS) -> None:
-        self.goals: dict[bytes, Goal] = {}
+        self.goals: dict[bytes, Goal] = {}  # by id, in the order of their requests
         self._result_timeout, self._most_goals = result_timeout, most_goals
         self._closed = False
 
     def step(self, event: Event, now: float) -> list[Action]:
-        """Returns what follows from an event.
+        """Returns the actions that follow from an event; `now` is monotonic [s].
 
-        Args:
-            event: what happened.
-            now: time on a clock that never goes back [s].
-
-        Raises:
-            IllegalTransition: an event of the program does not suit the goal's state. No goal has changed.
+        Raises IllegalTransition if an event of the program does not suit the goal's state. No goal has changed then.
         """
         for uuid in [uuid for uuid, goal in self.goals.items() if self._expired(goal, now)]:
             del self.goals[uuid]
@@ -126,11 +101,10 @@ class ActionCore:
                 return list(self._close(event, now))
 
     def status(self, uuid: bytes) -> Status:
-        """Returns the state of a goal."""
         return self.goals[uuid].status if uuid in self.goals else Status.UNKNOWN
 
     def infos(self, chosen: Callable[[Goal], bool] = lambda goal: True) -> tuple[GoalInfo, ...]:
-        """Returns all accepted goals, or the chosen ones of them."""
+        """Returns all accepted goals that `chosen` selects."""
         accepted = ((uuid, goal) for uuid, goal in self.goals.items() if goal.status is not Status.UNKNOWN)
         return tuple(GoalInfo(uuid, goal.stamp, goal.status) for uuid, goal in accepted if chosen(goal))
 
@@ -164,7 +138,7 @@ class ActionCore:
     def _change(self, event: StatusChanged, now: float) -> Iterator[Action]:
         old = self.status(event.uuid)
         if event.status is Status.EXECUTING and old is Status.CANCELING:
-            return  # a cancel came between acceptance and execution, of which the program need not know
+            return  # a cancel came between acceptance and execution; the program need not know
         if old not in BEFORE[event.status]:
             raise IllegalTransition(f"goal {event.uuid.hex()} is {old.name}, it cannot become {event.status.name}")
         goal = self.goals[event.uuid]
@@ -181,7 +155,7 @@ class ActionCore:
             yield AnswerResult(request, status, result)
 
     def _cancel(self, event: CancelRequested) -> Action:
-        """Returns the question which goals may be canceled, or the answer if there are none."""
+        """Asks the program which goals may be canceled, or answers if there are none."""
         status = self.status(event.uuid)
         if event.uuid != NO_UUID and event.stamp == 0:
             if status is Status.UNKNOWN:

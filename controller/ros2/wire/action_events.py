@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 
 class Status(IntEnum):
-    """States of a goal; UNKNOWN is that of a goal that was not accepted, or is forgotten."""
+    """States of a goal. UNKNOWN: the goal was not accepted, or is forgotten."""
 
     UNKNOWN = 0
     ACCEPTED = 1
@@ -26,7 +26,7 @@ class CancelCode(IntEnum):
 
 
 class GoalRequested(NamedTuple):
-    """A client sent a goal. `request` numbers the request, `goal` is handed back in actions."""
+    """A client sent a goal. `request` numbers the request; actions hand `goal` back."""
 
     request: int
     uuid: bytes
@@ -34,7 +34,7 @@ class GoalRequested(NamedTuple):
 
 
 class GoalRestored(NamedTuple):
-    """A server before this one had accepted this goal, at `stamp` [ns since 1970]; `result`: of an ended goal."""
+    """An earlier server had accepted this goal, at `stamp` [ns since 1970]; `result`: of an ended goal."""
 
     uuid: bytes
     goal: Any
@@ -52,7 +52,7 @@ class GoalDecided(NamedTuple):
 
 
 class StatusChanged(NamedTuple):
-    """The program executes or ends a goal; `result` is None if it does not end."""
+    """The program executes or ends a goal; `result` is None unless it ends."""
 
     uuid: bytes
     status: Status
@@ -60,14 +60,12 @@ class StatusChanged(NamedTuple):
 
 
 class FeedbackGiven(NamedTuple):
-    """The program has feedback on a goal."""
-
     uuid: bytes
     feedback: Any
 
 
 class CancelRequested(NamedTuple):
-    """A client wants one goal canceled, all goals (zeros), or all that were accepted until `stamp` [ns since 1970]."""
+    """A client wants one goal canceled, all goals (zeros), or all goals accepted until `stamp` [ns since 1970]."""
 
     request: int
     uuid: bytes
@@ -75,21 +73,19 @@ class CancelRequested(NamedTuple):
 
 
 class CancelDecided(NamedTuple):
-    """The program lets these goals of a cancel request be canceled."""
+    """The program allows the cancel of these goals."""
 
     request: int
     uuids: tuple[bytes, ...]
 
 
 class ResultRequested(NamedTuple):
-    """A client asks for the result of a goal."""
-
     request: int
     uuid: bytes
 
 
 class ServerClosed(NamedTuple):
-    """The server ends. Goals that are not decided are rejected, active ones aborted with this result."""
+    """The server ends. It rejects undecided goals, and aborts active goals with this result."""
 
     result: Any
 
@@ -108,7 +104,7 @@ Event = (
 
 
 class GoalInfo(NamedTuple):
-    """A goal as clients see it: id, time of acceptance [ns since 1970] and state."""
+    """A goal as clients see it; `stamp` is the time of acceptance [ns since 1970]."""
 
     uuid: bytes
     stamp: int
@@ -116,14 +112,10 @@ class GoalInfo(NamedTuple):
 
 
 class AskGoal(NamedTuple):
-    """Ask the program whether it accepts a goal."""
-
     goal: Any
 
 
 class AnswerGoal(NamedTuple):
-    """Answer a goal's request."""
-
     request: int
     accepted: bool
     stamp: int = 0
@@ -145,8 +137,6 @@ class AnswerCancel(NamedTuple):
 
 
 class TellCanceling(NamedTuple):
-    """Tell the program that a goal is canceling."""
-
     goal: Any
 
 
@@ -159,14 +149,10 @@ class AnswerResult(NamedTuple):
 
 
 class PublishStatus(NamedTuple):
-    """Publish the states of all accepted goals."""
-
     goals: tuple[GoalInfo, ...]
 
 
 class PublishFeedback(NamedTuple):
-    """Publish feedback on a goal."""
-
     uuid: bytes
     feedback: Any
 

@@ -1,4 +1,4 @@
-"""Action servers: the core's events from three services and the program, its actions to replies and two topics."""
+"""Action servers: connect the core to its three services, its two topics and the program."""
 
 from __future__ import annotations
 
@@ -26,14 +26,10 @@ log = logging.getLogger(__name__)
 
 
 class GoalHandle:
-    """One goal, for the program that executes it. Its methods may be called from any thread.
+    """One goal, for the program that executes it. Thread-safe. `uuid` has 16 bytes.
 
     `accept` or `reject` comes first, then `execute`, then one of `succeed`, `abort` and, once `on_cancel` was called,
     `canceled`. Each raises IllegalTransition if the goal's state does not allow it.
-
-    Attributes:
-        uuid: the goal's id, 16 bytes.
-        goal: the goal's message.
     """
 
     def __init__(self, uuid: bytes, goal: Any, server: ActionServer) -> None:
@@ -42,23 +38,21 @@ class GoalHandle:
 
     @property
     def status(self) -> Status:
-        """State of the goal; UNKNOWN before it is accepted, and after it is forgotten."""
+        """UNKNOWN before acceptance, and after the goal is forgotten."""
         return self._server.status(self.uuid)
 
     def accept(self) -> None:
-        """Accepts the goal."""
         self._server.step(events.GoalDecided(self.uuid, accepted=True, stamp=time.time_ns()))
 
     def reject(self) -> None:
-        """Rejects the goal."""
         self._server.step(events.GoalDecided(self.uuid, accepted=False, stamp=0))
 
     def execute(self) -> None:
-        """Tells that execution has begun; a goal that is canceling already goes on canceling."""
+        """Reports that execution has begun. A canceling goal goes on canceling."""
         self._server.step(events.StatusChanged(self.uuid, Status.EXECUTING))
 
     def feedback(self, value: Any) -> None:
-        """Publishes feedback: a message, or its fields by name. After the goal's end it is dropped."""
+        """Publishes feedback: a message, or its fields by name. Feedback after the goal's end is dropped."""
         self._server.step(events.FeedbackGiven(self.uuid, value))
 
     def succeed(self, result: Any) -> None:
@@ -66,43 +60,32 @@ class GoalHandle:
         self.end(Status.SUCCEEDED, result)
 
     def abort(self, result: Any) -> None:
-        """Ends the goal with a failure."""
         self.end(Status.ABORTED, result)
 
     def canceled(self, result: Any) -> None:
-        """Ends a goal that is canceling."""
         self.end(Status.CANCELED, result)
 
     def end(self, status: Status, result: Any) -> None:
-        """Ends the goal with one of these states."""
         self._server.end(self.uuid, status, result)
 
 
 class Policy(NamedTuple):
     """How an action server treats its goals.
 
-    Attributes:
-        may_cancel: returns whether a goal may be canceled; it answers at once.
-        on_cancel: called when a goal is canceling; the program then ends it.
-        result_timeout: how long the result of an ended goal is kept [s].
-        most_goals: number of goals that are known at once; further ones are rejected, or the oldest ended is forgotten.
+    `may_cancel` returns at once. `on_cancel` is called when a goal is canceling; the program then ends it.
     """
 
     may_cancel: Callable[[GoalHandle], bool] = lambda goal: True
     on_cancel: Callable[[GoalHandle], None] = lambda goal: None
-    result_timeout: float = 10.0
-    most_goals: int = MOST_GOALS
+    result_timeout: float = 10.0  # a result is kept this long after the goal's end [s]
+    most_goals: int = MOST_GOALS  # known at once; a further goal is rejected, or the oldest ended one is forgotten
 
 
 class ActionServer:
-    """An action of one node. The program is called back in threads of Zenoh's, one at a time for each service.
+    """An action of one node. Zenoh's threads call the program back, one at a time for each service.
 
     Args:
-        node: whose action it is.
-        name: of the action.
-        type_name: such as control_msgs/action/FollowJointTrajectory.
-        on_goal: called with each new goal; the goal is rejected if it raises.
-        policy: how goals are treated.
+        on_goal: called with each new goal; an exception rejects the goal.
 
     Raises:
         BadName: the name is not allowed.
@@ -126,17 +109,15 @@ class ActionServer:
         node.service(f"{base}/send_goal", f"{type_name}_SendGoal", self._on_goal_request)
 
     def status(self, uuid: bytes) -> Status:
-        """Returns the state of a goal."""
         with self._lock:
             return self._core.status(uuid)
 
     def restore(self, uuid: bytes, stamp: int, status: Status, result: Any = None) -> GoalHandle:
-        """Returns a goal that a server before this one had accepted; its message is not known.
+        """Returns a goal that an earlier server had accepted. Its message is unknown.
 
         Args:
-            uuid: id of the goal, 16 bytes.
-            stamp: when it was accepted [ns since 1970].
-            status: of the goal.
+            uuid: 16 bytes.
+            stamp: time of acceptance [ns since 1970].
             result: of an ended goal.
 
         Raises:
@@ -147,7 +128,7 @@ class ActionServer:
         return handle
 
     def close(self, result: Any = None) -> None:
-        """Rejects what is not decided, and aborts all active goals with this result, or an empty one."""
+        """Rejects undecided goals, and aborts active ones with this result, or with an empty one."""
         self.step(events.ServerClosed(self._result({} if result is None else result)))
 
     def end(self, uuid: bytes, status: Status, result: Any) -> None:
@@ -160,7 +141,6 @@ class ActionServer:
         self.step(events.StatusChanged(uuid, status, self._result(result)))
 
     def step(self, event: events.Event) -> None:
-        """Steps the core, and carries out what it returns."""
         calls: list[Callable[[], None]] = []
         with self._lock:  # replies and publications keep the core's order
             for action in self._core.step(event, time.monotonic()):
@@ -190,7 +170,6 @@ class ActionServer:
                 self._feedback.publish({"goal_id": {"uuid": uuid}, "feedback": feedback})
 
     def _result(self, result: Any) -> Any:
-        """Returns a result that can be sent."""
         name = f"{self._type}_Result"
         found = message(result, name, self._types) if isinstance(result, Mapping) else result
         serialize(found, name, self._types)

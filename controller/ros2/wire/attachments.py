@@ -12,30 +12,19 @@ class BadAttachment(ValueError):
 
 
 class Attachment(NamedTuple):
-    """What rmw_zenoh tells beside a payload.
+    """Metadata that rmw_zenoh sends with a payload."""
 
-    Attributes:
-        sequence: number of the message of its source, the first is 1.
-        source_time: when the source sent it [ns since 1970].
-        gid: identifies the source, 16 bytes; a reply has its client's.
-    """
-
-    sequence: int
-    source_time: int
-    gid: bytes
+    sequence: int  # number of the message at its source, from 1
+    source_time: int  # of sending [ns since 1970]
+    gid: bytes  # of the source, 16 bytes; a reply has its client's
 
     @property
     def data(self) -> bytes:
-        """The attachment's 33 bytes."""
         return FORM.pack(self.sequence, self.source_time, GID_BYTES, self.gid)
 
 
 def parse(data: bytes | None) -> Attachment:
-    """Returns the attachment that has these bytes; None is no attachment at all.
-
-    Raises:
-        BadAttachment: there is none, or it has another form: before 2025 rmw_zenoh wrote a name before each value.
-    """
+    """Parses an attachment. Raises BadAttachment: before 2025 rmw_zenoh wrote a name before each value."""
     if data is None:
         raise BadAttachment("a message of rmw_zenoh has an attachment, this one has none")
     if len(data) != FORM.size:

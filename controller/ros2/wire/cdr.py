@@ -25,17 +25,7 @@ class BadMessage(ValueError):
 
 
 def serialize(value: Any, name: str, types: Types) -> bytes:
-    """Returns the bytes of a message.
-
-    Args:
-        value: a message, or its fields by name, see `message`.
-        name: type of the message.
-        types: all types.
-
-    Raises:
-        BadMessage: a field is missing, or its value does not fit.
-        UnknownType: the type is not known.
-    """
+    """Returns the bytes of a message or its fields, see `message`. Raises BadMessage or UnknownType."""
     if isinstance(value, Mapping):
         value = message(value, name, types)
     expected = types.message_class(name)
@@ -48,7 +38,7 @@ def serialize(value: Any, name: str, types: Types) -> bytes:
 
 
 def deserialize(data: bytes, name: str, types: Types) -> Any:
-    """Returns the message that has these bytes. Numbers are not judged: they may be NaN or infinite.
+    """Returns the message of these bytes. Numbers are not checked: they may be NaN or infinite.
 
     Raises:
         BadMessage: there are too many bytes or too few, the header is not that of CDR, or a text is no UTF-8.
@@ -68,8 +58,6 @@ def message(fields: Mapping[str, Any], name: str, types: Types) -> Any:
 
     Args:
         fields: values by name: numbers, texts, sequences, messages, or mappings with the fields of nested messages.
-        name: type of the message.
-        types: all types.
 
     Raises:
         BadMessage: there is no such field, or its value does not fit.
@@ -92,7 +80,6 @@ def message(fields: Mapping[str, Any], name: str, types: Types) -> Any:
 
 
 def _value(desc: FieldDesc, given: Any, types: Types) -> Any:
-    """Returns the value of one field; `given` is None if nothing was given."""
     if desc[0] == Nodetype.NAME:
         return message(given or {}, desc[1], types) if given is None or isinstance(given, Mapping) else given
     if desc[0] == Nodetype.BASE:

@@ -1,4 +1,4 @@
-"""Names of ROS 2, and how rmw_zenoh writes them in keys."""
+"""Names of ROS 2, and their form in keys of rmw_zenoh."""
 
 import re
 
@@ -13,19 +13,13 @@ RULE = "letters, digits and single underscores, no digit first, parts separated 
 
 
 class BadName(ValueError):
-    """A name is none of ROS 2."""
+    """A name is not valid in ROS 2."""
 
 
 def resolve(name: str, namespace: str, node: str) -> str:
-    """Returns the absolute name of a topic, service or action.
+    """Returns the absolute name of a topic, service or action; raises BadName.
 
-    Args:
-        name: absolute ("/tf"), relative to the namespace ("goal") or private to the node ("~/goal").
-        namespace: absolute name of the node's namespace; "/" if it has none.
-        node: the node's name.
-
-    Raises:
-        BadName: `name` is no name of ROS 2.
+    `name` is absolute ("/tf"), relative to the namespace ("goal") or private to the node ("~/goal").
     """
     if not NAME.fullmatch(name) or len(name) > MOST_LETTERS:
         raise BadName(f"{name!r} is no name of a topic, service or action: {RULE}")
@@ -36,11 +30,7 @@ def resolve(name: str, namespace: str, node: str) -> str:
 
 
 def check_node(name: str, namespace: str) -> None:
-    """Checks a node's name and its namespace.
-
-    Raises:
-        BadName: one of them is not allowed.
-    """
+    """Raises BadName if a node's name or its namespace is not allowed."""
     if not NODE.fullmatch(name) or len(name) > MOST_LETTERS:
         raise BadName(f"{name!r} is no name of a node: letters, digits and single underscores, no digit first")
     if not NAMESPACE.fullmatch(namespace) or len(namespace) > MOST_LETTERS:
@@ -53,16 +43,11 @@ def mangle(name: str) -> str:
 
 
 def demangle(field: str) -> str:
-    """Returns the name that `mangle` was given."""
     return field.replace(SLASH, "/")
 
 
 def dds_type(name: str) -> str:
-    """Returns a type's name in keys: std_msgs/msg/String is std_msgs::msg::dds_::String_.
-
-    Raises:
-        BadName: `name` has another form.
-    """
+    """Returns a type's name in keys, as std_msgs::msg::dds_::String_. Raises BadName for another form."""
     parts = TYPE.fullmatch(name)
     if not parts:
         raise BadName(f"{name!r} is no type: it has the form package/msg/Name, package/srv/Name or package/action/Name")
@@ -70,12 +55,5 @@ def dds_type(name: str) -> str:
 
 
 def data_key(domain: int, name: str, type_name: str, type_hash: str) -> str:
-    """Returns the key of a topic's samples or of a service's queries.
-
-    Args:
-        domain: ROS_DOMAIN_ID.
-        name: absolute name.
-        type_name: such as std_msgs/msg/String.
-        type_hash: RIHS01 hash of the type.
-    """
+    """Returns the key of a topic's samples or of a service's queries; `name` is absolute, `type_hash` is RIHS01."""
     return f"{domain}/{name.strip('/')}/{dds_type(type_name)}/{type_hash}"

@@ -1,4 +1,4 @@
-"""A node: where publishers, subscribers, services, clients and action servers are made."""
+"""A node: makes publishers, subscribers, services, clients and action servers."""
 
 import contextlib
 from collections import Counter, deque
@@ -19,16 +19,13 @@ from hyperbit.controller.ros2.wire.types import Types
 
 
 class Closable(Protocol):
-    """What a node has made."""
-
-    def close(self) -> None:
-        """Ends it."""
+    def close(self) -> None: ...
 
 
 T = TypeVar("T", bound=Closable)
 MOST_QUOTED = 200  # letters of a type and its hash
-MOST_TOLD = 100  # tokens that are remembered because they were told
-# Which kind of endpoint exchanges messages with which.
+MOST_TOLD = 100  # remembered tokens of reported conflicts
+# Kinds of endpoints that exchange messages.
 OPPOSITE = {
     Kind.PUBLISHER: Kind.SUBSCRIBER,
     Kind.SUBSCRIBER: Kind.PUBLISHER,
@@ -40,16 +37,10 @@ OPPOSITE = {
 class Node:
     """A node of ROS 2.
 
-    Attributes:
-        token: the node's.
-        types: the types of its distribution; `types.register` adds others.
-
     Args:
-        session: open session.
-        name: the node's name.
         namespace: absolute; "/" is none.
         domain: ROS_DOMAIN_ID.
-        distro: distribution of the others: jazzy, kilted or lyrical.
+        distro: of the other nodes: jazzy, kilted or lyrical.
         enclave: of ROS 2's security; "/" is none.
 
     Raises:
@@ -67,7 +58,7 @@ class Node:
         enclave: str = "/",
     ) -> None:
         names.check_node(name, namespace)
-        self.types = Types(distro)
+        self.types = Types(distro)  # types of the distribution; `types.register` adds others
         self._session = session
         number = session.next_number()
         self.token = Token(domain, session.zid, number, number, Kind.NODE, name, namespace, enclave or "/")
@@ -88,7 +79,6 @@ class Node:
         Args:
             topic: absolute name, or relative to namespace ("tf") or node ("~/state").
             type_name: such as std_msgs/msg/String.
-            qos: quality of service.
 
         Raises:
             BadName: the topic's name is not allowed.
@@ -100,34 +90,26 @@ class Node:
     def subscriber(
         self, topic: str, type_name: str, callback: Callable[[Received], None], qos: Qos = presets.DEFAULT
     ) -> Subscriber:
-        """Returns a subscriber, which hands each message to `callback`; arguments and errors as for a publisher."""
+        """Returns a subscriber. Arguments and errors are those of `publisher`."""
         token, key = self._endpoint(Kind.SUBSCRIBER, topic, type_name, qos)
         return self._keep(Subscriber(self._session.zenoh, token, key, type_name, callback, self.types))
 
     def service(self, name: str, type_name: str, handler: Callable[[Request], None]) -> Service:
-        """Returns a service, which hands each request to `handler`; arguments and errors as for a publisher."""
+        """Returns a service. Arguments and errors are those of `publisher`."""
         token, key = self._endpoint(Kind.SERVICE, name, type_name, presets.DEFAULT)
         return self._keep(Service(self._session.zenoh, token, key, type_name, handler, self.types))
 
     def client(self, name: str, type_name: str) -> Client:
-        """Returns a client of a service; arguments and errors as for a publisher."""
+        """Returns a client of a service. Arguments and errors are those of `publisher`."""
         token, key = self._endpoint(Kind.CLIENT, name, type_name, presets.DEFAULT)
         return self._keep(Client(self._session.zenoh, token, key, type_name, self.types))
 
     def action_server(
         self, name: str, type_name: str, on_goal: Callable[[GoalHandle], None], policy: Policy = Policy()
     ) -> ActionServer:
-        """Returns an action server, which hands each goal to `on_goal`; it accepts or rejects the goal, then or later.
+        """Returns an action server. Arguments and errors are those of `publisher`.
 
-        Args:
-            name: of the action; absolute, or relative to namespace or node.
-            type_name: such as control_msgs/action/FollowJointTrajectory.
-            on_goal: called with each new goal, in a thread of Zenoh's.
-            policy: which goals may be canceled, and how long results are kept.
-
-        Raises:
-            BadName: the name is not allowed.
-            UnknownType: the type is not known.
+        `on_goal` is called with each new goal, in a thread of Zenoh's; it accepts or rejects the goal, then or later.
         """
         return self._keep(ActionServer(self, name, type_name, on_goal, policy))
 
@@ -140,13 +122,10 @@ class Node:
         return found
 
     def watch(self, tell: Callable[[str], None]) -> None:
-        """Tells in a sentence what of others does not fit this node, whenever it appears; once a node.
+        """Reports nodes and endpoints of others that conflict with this node, each node once.
 
-        Told are a second node of this name, and endpoints whose type or hash differs from that of this node's endpoint
-        of the same name: their messages never arrive here.
-
-        Args:
-            tell: called with each sentence, in a thread of Zenoh's.
+        A conflict is a second node of this name, or an endpoint of the same name with another type or hash: its
+        messages never arrive here. `tell` is called in a thread of Zenoh's.
         """
         told = deque[str](maxlen=MOST_TOLD)
 
@@ -169,7 +148,7 @@ class Node:
         self._watching = self._session.zenoh.liveliness().declare_subscriber(key, on_token, history=True)
 
     def close(self) -> None:
-        """Ends the node and all that it has made; active goals are aborted."""
+        """Ends the node and all that it has made. Active goals are aborted."""
         if self._watching is not None:
             with contextlib.suppress(zenoh.ZError):  # the session is closed
                 self._watching.undeclare()  # type: ignore[no-untyped-call]
@@ -178,7 +157,6 @@ class Node:
         self._token.undeclare()  # type: ignore[no-untyped-call]
 
     def _endpoint(self, kind: Kind, name: str, type_name: str, qos: Qos) -> tuple[Token, str]:
-        """Returns token and key of a new endpoint."""
         absolute = names.resolve(name, self.token.namespace, self.token.node)
         type_hash = self.types.hash(type_name)
         endpoint = Endpoint(absolute, names.dds_type(type_name), type_hash, qos)
@@ -187,7 +165,7 @@ class Node:
         return token, names.data_key(self.token.domain, absolute, type_name, type_hash)
 
     def _misfit(self, other: Token) -> str | None:
-        """Returns why another node or endpoint does not fit this node, or None."""
+        """Returns why another node or endpoint conflicts with this node, or None."""
         if (other.zid, other.nid) == (self.token.zid, self.token.nid):
             return None
         name = f"{other.namespace.rstrip('/')}/{other.node}"

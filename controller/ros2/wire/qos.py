@@ -1,6 +1,6 @@
 """Quality of service of an endpoint, as a field of its liveliness token.
 
-Zenoh delivers between any two settings. They decide how this side publishes or subscribes, and what others are told.
+Zenoh delivers between any two settings. The settings decide how this side publishes or subscribes, and what tokens say.
 """
 
 import re
@@ -41,35 +41,23 @@ class History(IntEnum):
 
 
 class BadQos(ValueError):
-    """A text is no quality of service."""
+    pass
 
 
 class Qos(NamedTuple):
-    """Quality of service of a publisher, subscriber, service or client.
-
-    Attributes:
-        reliability: whether lost samples are sent again.
-        durability: whether a late subscriber receives the last `depth` samples.
-        history: whether `depth` limits what is kept.
-        depth: number of samples that are kept.
-        timing: deadline, lifespan and liveliness as in the token, where an empty number is rmw_zenoh's default. Not
-            applied here.
-    """
-
-    reliability: Reliability = Reliability.RELIABLE
-    durability: Durability = Durability.VOLATILE
-    history: History = History.KEEP_LAST
-    depth: int = 10
+    reliability: Reliability = Reliability.RELIABLE  # whether lost samples are sent again
+    durability: Durability = Durability.VOLATILE  # whether a late subscriber receives the last `depth` samples
+    history: History = History.KEEP_LAST  # whether `depth` limits what is kept
+    depth: int = 10  # number of kept samples
+    # deadline, lifespan and liveliness as in the token; empty: rmw_zenoh's default. Not applied here
     timing: str = DEFAULT_TIMING
 
     @property
     def transient_local(self) -> bool:
-        """Whether late subscribers receive the last samples."""
         return self.durability is Durability.TRANSIENT_LOCAL
 
     @property
     def reliable(self) -> bool:
-        """Whether lost samples are sent again."""
         return self.reliability is not Reliability.BEST_EFFORT
 
 
@@ -86,7 +74,7 @@ FORM = re.compile(rf"{NUMBER}:{NUMBER}:{NUMBER},{NUMBER}:(\d*,\d*:\d*,\d*:\d*,\d
 
 
 def encode(qos: Qos) -> str:
-    """Returns the field of a token; what equals rmw_zenoh's default is left empty."""
+    """Returns the field of a token. A value equal to rmw_zenoh's default is left empty."""
     values = (qos.reliability, qos.durability, qos.history, qos.depth)
     reliability, durability, history, depth = (
         "" if value == default else str(int(value)) for value, default in zip(values, DEFAULTS, strict=True)
@@ -95,11 +83,7 @@ def encode(qos: Qos) -> str:
 
 
 def parse(text: str) -> Qos:
-    """Returns the quality of service of a token's field.
-
-    Raises:
-        BadQos: the text is none.
-    """
+    """Parses a token's field. Raises BadQos if the text has another form."""
     if not (match := FORM.fullmatch(text)):
         raise BadQos(f"{text!r} is no quality of service: expected one such as '::,10:,:,:,,'")
     numbers = [int(it) if it else default for it, default in zip(match.groups()[:4], DEFAULTS, strict=True)]

@@ -1,5 +1,3 @@
-"""Services and their clients."""
-
 import contextlib
 import itertools
 import logging
@@ -11,12 +9,14 @@ from typing import Any
 
 import zenoh
 
-from hyperbit.controller.ros2.wire.attachments import Attachment
+from hyperbit.controller.ros2.wire import attachments
+from hyperbit.controller.ros2.wire.attachments import Attachment, BadAttachment
 from hyperbit.controller.ros2.wire.cdr import serialize
 from hyperbit.controller.ros2.wire.tokens import Token
 from hyperbit.controller.ros2.wire.topics import Dropped, Received, receive
 from hyperbit.controller.ros2.wire.types import Types
 
+REFUSED = {"action_msgs/srv/CancelGoal": {"return_code": 1}}  # responses that refuse, unless 0 does
 MOST_OPEN = 64  # requests of a service that wait for their reply
 log = logging.getLogger(__name__)
 
@@ -26,22 +26,17 @@ class NoReply(TimeoutError):
 
 
 class Request:
-    """One request of a service's client. It is replied to once, now or later, from any thread.
-
-    Attributes:
-        received: the request's message, and whose it is.
-    """
+    """One request of a service's client. Any thread replies to it once, now or later."""
 
     def __init__(self, received: Received, reply: Callable[[Any], None]) -> None:
-        self.received = received
+        self.received = received  # the request's message and its sender
         self.message = received.message
         self._reply = reply
 
     def reply(self, value: Any) -> None:
-        """Sends the response, or the response that has these fields by name. Further replies are ignored.
+        """Sends the response, or the response with these fields by name. Further replies are ignored.
 
-        Raises:
-            BadMessage: a field is missing, or its value does not fit; the request stays open.
+        Raises BadMessage if a field is missing, or its value does not fit. The request stays open then.
         """
         self._reply(value)
 
@@ -50,16 +45,8 @@ class Service:
     """Hands the requests of one service to a handler, one after another, in a thread of Zenoh's.
 
     Attributes:
-        dropped: number of requests that were dropped, by reason: attachment, size, content, open if too many were open,
-            or callback if the handler raised before it replied. A dropped request has no reply.
-
-    Args:
-        session: Zenoh session.
-        token: the service's.
-        key: of the queries.
-        name: type of the service.
-        handler: called with each request; replies then or later.
-        types: all types.
+        dropped: number of requests dropped, by reason: attachment, size, content, open (too many were open) or callback
+            (the handler raised before it replied). A dropped request with an attachment gets an empty response.
     """
 
     def __init__(
@@ -76,13 +63,12 @@ class Service:
         self._key, self._name, self._handler, self._types = key, name, handler, types
         self._lock, self._numbers = threading.Lock(), itertools.count()
         self._open: dict[int, zenoh.Query] = {}
-        # Clients of rmw_zenoh query services that are complete only.
+        # Clients of rmw_zenoh query only services that are declared complete.
         self._queryable = session.declare_queryable(key, self._on_query, complete=True)
         self._token = session.liveliness().declare_token(token.text)
 
     @property
     def open(self) -> int:
-        """Number of requests that wait for their reply."""
         return len(self._open)
 
     def close(self) -> None:
@@ -104,14 +90,25 @@ class Service:
             self._handler(Request(received, lambda value: self._reply(number, received, value)))
         except Dropped as error:
             self.dropped[error.reason] += 1
-            query.drop()  # type: ignore[no-untyped-call]  # else its client waits as long as a log holds this traceback
+            self._decline(query)
         except Exception:
             with self._lock:
                 replied = self._open.pop(number, None) is None
             if not replied:
                 self.dropped["callback"] += 1
-                query.drop()  # type: ignore[no-untyped-call]
+                self._decline(query)
             log.exception("the handler of %s failed", self.token.text)
+
+    def _decline(self, query: zenoh.Query) -> None:
+        """Replies to a request that is not served, because a client of rmw_zenoh waits for a reply without end.
+
+        The response is empty: its numbers are 0, so that nothing is accepted.
+        """
+        with query, contextlib.suppress(BadAttachment, zenoh.ZError):
+            source = attachments.parse(None if query.attachment is None else query.attachment.to_bytes())
+            data = serialize(REFUSED.get(self._name, {}), f"{self._name}_Response", self._types)
+            attachment = Attachment(source.sequence, time.time_ns(), source.gid).data
+            query.reply(self._key, data, attachment=attachment)
 
     def _reply(self, number: int, received: Received, value: Any) -> None:
         data = serialize(value, f"{self._name}_Response", self._types)
@@ -125,15 +122,7 @@ class Service:
 
 
 class Client:
-    """Calls one service. Threads may share it; not for a callback, since it waits.
-
-    Args:
-        session: Zenoh session.
-        token: the client's.
-        key: of the queries.
-        name: type of the service.
-        types: all types.
-    """
+    """Calls one service. Thread-safe, but not for a callback, since it waits."""
 
     def __init__(self, session: zenoh.Session, token: Token, key: str, name: str, types: Types) -> None:
         self.token = token
@@ -168,6 +157,5 @@ class Client:
         raise NoReply(f"no service answered on {self._key} within {timeout:g} s")
 
     def close(self) -> None:
-        """Ends the client."""
         with contextlib.suppress(zenoh.ZError):
             self._token.undeclare()  # type: ignore[no-untyped-call]

@@ -1,6 +1,6 @@
 """The Zenoh session of ROS 2's network: a client of the router that `ros2 run rmw_zenoh_cpp rmw_zenohd` starts.
 
-Peers behind the router would exchange no data with rmw_zenoh's sessions before they link up, so a client it is.
+The session is a client, because a peer behind the router exchanges no data with rmw_zenoh's sessions until they link.
 """
 
 import itertools
@@ -13,7 +13,7 @@ import zenoh
 from hyperbit.controller.ros2.wire.tokens import ADMIN_SPACE, BadToken, Token, parse
 
 ROUTER = "tcp/localhost:7447"
-MOST_FRAGMENTS = 2_000_000  # bytes that Zenoh puts together to one message, roughly; it drops longer ones
+MOST_FRAGMENTS = 10_000_000  # bytes, about: longest message that Zenoh assembles; it drops longer ones
 LONGEST_PAUSE = 4.0  # [s] between two attempts to reach the router
 
 
@@ -22,15 +22,11 @@ class NoRouter(ConnectionError):
 
 
 class Session:
-    """An open session. After a loss of the router it connects by itself, and Zenoh declares everything again.
-
-    Attributes:
-        zenoh: the session of eclipse-zenoh.
-        zid: its id, as tokens have it.
+    """An open session. After a loss of the router it connects again, and Zenoh repeats all declarations.
 
     Args:
-        router: Zenoh endpoint of the router.
-        timeout: longest time to wait for the router [s]; a client of Zenoh cannot begin without one.
+        router: Zenoh endpoint.
+        timeout: longest time to wait for the router [s]. A client of Zenoh cannot begin without a router.
 
     Raises:
         NoRouter: no router answered in time, or the endpoint has the wrong form.
@@ -42,7 +38,7 @@ class Session:
         except zenoh.ZError as error:
             reason = str(error).split(" at /")[0].strip()
             raise NoRouter(f"no router at {router!r} within {timeout:g} s: {reason}") from None
-        self.zid = str(self.zenoh.zid())
+        self.zid = str(self.zenoh.zid())  # the session's id in tokens
         self._numbers = itertools.count()
         self._lock = threading.Lock()
 
@@ -53,7 +49,6 @@ class Session:
         self.close()
 
     def close(self) -> None:
-        """Closes the session, with everything that was declared in it."""
         self.zenoh.close()  # type: ignore[no-untyped-call]
 
     def next_number(self) -> str:
@@ -66,13 +61,8 @@ class Session:
         return bool(self.zenoh.info.routers_zid())
 
     def tokens(self, domain: int = 0, timeout: float = 2.0) -> list[Token]:
-        """Returns the tokens of all nodes and endpoints in a domain; keys that are none are left out.
-
-        Args:
-            domain: ROS_DOMAIN_ID.
-            timeout: longest time to wait for the answer [s].
-        """
-        found: dict[Token, None] = {}  # the session's own come twice
+        """Returns the tokens of all nodes and endpoints in a domain, known within `timeout` [s]; ignores other keys."""
+        found: dict[Token, None] = {}  # the session's own tokens come twice
         for reply in self.zenoh.liveliness().get(f"{ADMIN_SPACE}/{domain}/**", timeout=timeout):
             if reply.ok is not None:
                 try:
@@ -83,7 +73,7 @@ class Session:
 
 
 def configuration(router: str, timeout: float) -> zenoh.Config:
-    """Returns the configuration of a client of a router, with the timestamps that caches of publishers need."""
+    """Returns the configuration of a client, with the timestamps that publishers' caches need."""
     settings: dict[str, object] = {
         "mode": "client",
         "connect": {
@@ -93,6 +83,6 @@ def configuration(router: str, timeout: float) -> zenoh.Config:
         },
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "timestamping": {"enabled": True},
-        "transport": {"link": {"rx": {"max_message_size": MOST_FRAGMENTS}}},
+        "transport": {"shared_memory": {"enabled": False}, "link": {"rx": {"max_message_size": MOST_FRAGMENTS}}},
     }
     return zenoh.Config.from_json5(json.dumps(settings))

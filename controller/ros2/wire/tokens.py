@@ -1,4 +1,4 @@
-"""Liveliness tokens, from which ROS 2 learns which nodes and endpoints exist, and the GIDs that are made of them."""
+"""Liveliness tokens, from which ROS 2 learns which nodes and endpoints exist, and their GIDs."""
 
 from enum import StrEnum
 from typing import NamedTuple
@@ -14,8 +14,6 @@ NODE_PARTS, ENDPOINT_PARTS = 9, 13
 
 
 class Kind(StrEnum):
-    """What a token stands for."""
-
     NODE = "NN"
     PUBLISHER = "MP"
     SUBSCRIBER = "MS"
@@ -28,45 +26,24 @@ class BadToken(ValueError):
 
 
 class Endpoint(NamedTuple):
-    """What an endpoint's token has beside its node.
+    """The fields of an endpoint's token that a node's token lacks."""
 
-    Attributes:
-        name: absolute name of the topic or service.
-        type: its DDS name, such as std_msgs::msg::dds_::String_.
-        hash: RIHS01 hash of the type.
-        qos: quality of service.
-    """
-
-    name: str
-    type: str
-    hash: str
+    name: str  # absolute name of the topic or service
+    type: str  # DDS name, such as std_msgs::msg::dds_::String_
+    hash: str  # RIHS01
     qos: Qos
 
 
 class Token(NamedTuple):
-    """One liveliness token.
-
-    Attributes:
-        domain: ROS_DOMAIN_ID.
-        zid: id of the Zenoh session.
-        nid: the node's number in its session.
-        id: the node's or endpoint's number in its session.
-        kind: what exists.
-        node: the node's name.
-        namespace: of the node; "/" if it has none.
-        enclave: of the node; "/" if it has none.
-        endpoint: None for a node.
-    """
-
-    domain: int
-    zid: str
-    nid: str
-    id: str
+    domain: int  # ROS_DOMAIN_ID
+    zid: str  # of the Zenoh session
+    nid: str  # the node's number in its session
+    id: str  # the node's or endpoint's number in its session
     kind: Kind
     node: str
-    namespace: str = "/"
-    enclave: str = "/"
-    endpoint: Endpoint | None = None
+    namespace: str = "/"  # "/": none
+    enclave: str = "/"  # "/": none
+    endpoint: Endpoint | None = None  # None for a node
 
     @property
     def text(self) -> str:
@@ -80,16 +57,12 @@ class Token(NamedTuple):
 
     @property
     def gid(self) -> bytes:
-        """Identifies the node or endpoint in attachments: XXH3-128 of the token, 16 bytes."""
+        """GID in attachments: XXH3-128 of the token, 16 bytes."""
         return xxhash.xxh3_128_intdigest(self.text.encode()).to_bytes(16, "little")
 
 
 def parse(text: str) -> Token:
-    """Returns the token of a key. Parts after the thirteenth, which newer versions of rmw_zenoh add, are ignored.
-
-    Raises:
-        BadToken: the key is none.
-    """
+    """Parses a key; ignores parts after the thirteenth, of newer versions of rmw_zenoh. Raises BadToken."""
     parts = text.split("/")
     try:
         if parts[0] != ADMIN_SPACE or not all(parts) or len(parts) < NODE_PARTS:

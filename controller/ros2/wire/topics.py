@@ -1,5 +1,3 @@
-"""Publishers and subscribers."""
-
 import contextlib
 import logging
 import threading
@@ -18,32 +16,19 @@ from hyperbit.controller.ros2.wire.qos import History, Qos
 from hyperbit.controller.ros2.wire.tokens import Token
 from hyperbit.controller.ros2.wire.types import Types
 
-HEARTBEAT = 0.5  # [s]; how often a publisher tells the number of its last sample, as rmw_zenoh
+HEARTBEAT = 0.5  # [s] between two reports of a publisher's last sample number, as in rmw_zenoh
 log = logging.getLogger(__name__)
 
 
 class Received(NamedTuple):
-    """A message from the network.
-
-    Attributes:
-        message: the message; its numbers may be NaN or infinite.
-        sequence: its number at its source.
-        source_time: when the source sent it [ns since 1970].
-        gid: of the source, 16 bytes; `Token.gid` of its token.
-    """
-
-    message: Any
-    sequence: int
-    source_time: int
-    gid: bytes
+    message: Any  # its numbers may be NaN or infinite
+    sequence: int  # number at its source
+    source_time: int  # of sending [ns since 1970]
+    gid: bytes  # of the source, 16 bytes; `Token.gid` of its token
 
 
 class Dropped(Exception):
-    """A message from the network cannot be used.
-
-    Args:
-        reason: under which it is counted: attachment, size or content.
-    """
+    """A message from the network cannot be used. `reason`: attachment, size or content."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
@@ -51,17 +36,7 @@ class Dropped(Exception):
 
 
 def receive(payload: zenoh.ZBytes | None, attachment: zenoh.ZBytes | None, name: str, types: Types) -> Received:
-    """Returns what a sample, query or reply holds.
-
-    Args:
-        payload: its bytes.
-        attachment: the bytes beside it.
-        name: type of the message.
-        types: all types.
-
-    Raises:
-        Dropped: it is no message of this type.
-    """
+    """Decodes the payload of a sample, query or reply. Raises Dropped if it is no message of this type."""
     try:
         source = attachments.parse(None if attachment is None else attachment.to_bytes())
     except BadAttachment as error:
@@ -78,15 +53,7 @@ def receive(payload: zenoh.ZBytes | None, attachment: zenoh.ZBytes | None, name:
 
 
 class Publisher:
-    """Publishes messages on one topic. Threads may share it.
-
-    Args:
-        session: Zenoh session.
-        token: the publisher's.
-        key: of the samples.
-        name: type of the messages.
-        types: all types.
-    """
+    """Publishes messages on one topic. Thread-safe."""
 
     def __init__(self, session: zenoh.Session, token: Token, key: str, name: str, types: Types) -> None:
         assert token.endpoint
@@ -97,11 +64,7 @@ class Publisher:
         self._token = session.liveliness().declare_token(token.text)
 
     def publish(self, value: Any) -> None:
-        """Publishes a message, or the message that has these fields by name. On a closed session nothing happens.
-
-        Raises:
-            BadMessage: a field is missing, or its value does not fit.
-        """
+        """Publishes a message, or its fields by name; does nothing on a closed session. Raises BadMessage."""
         data = serialize(value, self._name, self._types)
         with self._lock:
             self._sequence += 1
@@ -119,16 +82,8 @@ class Publisher:
 class Subscriber:
     """Hands the messages of one topic to a callback, one after another, in a thread of Zenoh's.
 
-    Attributes:
-        dropped: number of messages that were dropped, by reason: attachment, size, content, or callback if it raised.
-
-    Args:
-        session: Zenoh session.
-        token: the subscriber's.
-        key: of the samples.
-        name: type of the messages.
-        callback: called with each message. While it runs, up to 256 messages wait; after these the session waits.
-        types: all types.
+    While the callback runs, up to 256 messages wait; then the session waits. `dropped` counts dropped messages by
+    reason: attachment, size, content, or callback if it raised.
     """
 
     def __init__(
@@ -149,7 +104,6 @@ class Subscriber:
         self._token = session.liveliness().declare_token(token.text)
 
     def close(self) -> None:
-        """Ends the subscriber."""
         with contextlib.suppress(zenoh.ZError):
             self._token.undeclare()  # type: ignore[no-untyped-call]
             self._subscriber.undeclare()  # type: ignore[no-untyped-call]
@@ -165,7 +119,7 @@ class Subscriber:
 
 
 def _publishing(qos: Qos) -> Mapping[str, Any]:
-    """Returns the options of a Zenoh publisher, as rmw_zenoh sets them."""
+    """Returns rmw_zenoh's options of a Zenoh publisher."""
     keep_all = qos.reliable and qos.history is History.KEEP_ALL
     options: dict[str, Any] = {
         "congestion_control": zenoh.CongestionControl.BLOCK if keep_all else zenoh.CongestionControl.DROP,
@@ -180,7 +134,7 @@ def _publishing(qos: Qos) -> Mapping[str, Any]:
 
 
 def _subscribing(qos: Qos) -> Mapping[str, Any]:
-    """Returns the options of a Zenoh subscriber, as rmw_zenoh sets them."""
+    """Returns rmw_zenoh's options of a Zenoh subscriber."""
     if not qos.transient_local:
         return {}
     history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=qos.depth)

@@ -24,18 +24,7 @@ class UnknownType(ValueError):
 
 
 class Types:
-    """The types of one distribution.
-
-    Attributes:
-        store: rosbags' store, with services and actions as the messages that they consist of.
-        hashes: RIHS01 hash by name of a message, or of a service, or by name of an action's part.
-
-    Args:
-        distribution: jazzy, kilted or lyrical.
-
-    Raises:
-        UnknownType: the distribution is another.
-    """
+    """The types of one distribution: jazzy, kilted or lyrical. Raises UnknownType for another."""
 
     def __init__(self, distribution: str) -> None:
         if distribution == "humble":
@@ -45,14 +34,14 @@ class Types:
         if distribution not in VERSIONS:
             raise UnknownType(f"{distribution!r} is no known distribution of ROS 2: {', '.join(VERSIONS)}")
         self._version = VERSIONS[distribution]
-        self.store = get_typestore(Stores.ROS2_JAZZY)
-        self.hashes: dict[str, str] = {}
-        for path in sorted(DEFINITIONS.glob("*/*/*.*"), key=lambda it: it.suffix != ".msg"):  # others refer to these
+        self.store = get_typestore(Stores.ROS2_JAZZY)  # rosbags' store; a service or action is stored as its messages
+        self.hashes: dict[str, str] = {}  # RIHS01 hash by name of a message, of a service, or of an action's part
+        for path in sorted(DEFINITIONS.glob("*/*/*.*"), key=lambda it: it.suffix != ".msg"):  # others refer to it
             stem, _, version = path.stem.partition(".")
             if version in ("", self._version):
                 name = "/".join((*path.parts[-3:-1], stem))
-                self._define(name, path.read_text())
-        hashes: dict[str, str] = json.loads((DEFINITIONS / "hashes.json").read_text())
+                self._define(name, path.read_text(encoding="utf-8"))
+        hashes: dict[str, str] = json.loads((DEFINITIONS / "hashes.json").read_text(encoding="utf-8"))
         for key, value in hashes.items():
             name, _, version = key.partition(".")
             if version in ("", self._version):
@@ -73,27 +62,18 @@ class Types:
         self.hashes.update(hashes)
 
     def hash(self, name: str) -> str:
-        """Returns the RIHS01 hash of a message, of a service or of an action's part.
-
-        Raises:
-            UnknownType: the type is not known.
-        """
+        """Returns the RIHS01 hash of a message, a service or an action's part. Raises UnknownType."""
         if name not in self.hashes:
             raise UnknownType(f"the type {name!r} is not known: {len(self.hashes)} are; add it by Types.register")
         return self.hashes[name]
 
     def message_class(self, name: str) -> type[Any]:
-        """Returns the dataclass of a message, or of a request, response, goal, result or feedback.
-
-        Raises:
-            UnknownType: the type is not known.
-        """
+        """Returns the dataclass of a message, or of a service's or action's part. Raises UnknownType."""
         if name not in self.store.types:
             raise UnknownType(f"the message {name!r} is not known")
         return self.store.types[name]
 
     def _define(self, name: str, text: str) -> None:
-        """Adds the messages that a definition consists of."""
         kind = name.split("/")[1]
         parts = [part.strip() + "\n" for part in ("\n" + text).split("\n---")]
         expected = {"msg": 1, "srv": 2, "action": 3}[kind]
@@ -115,7 +95,7 @@ class Types:
         found: Typesdict = {}
         try:
             for part, lines in texts.items():
-                # rosbags names what is in a folder `srv` as if it were in `msg`, so the name is set here.
+                # rosbags names a type in a folder `srv` as if it were in `msg`. So the name is set here.
                 (found[part],) = get_types_from_msg(lines, part).values()
             known = self.store.fielddefs.keys() | found.keys()
             if unknown := {it for _, fields in found.values() for it in _references(fields)} - known:

@@ -1,4 +1,4 @@
-"""One board: NMT state, heartbeats or node guarding, emergencies and inputs, as received, and procedures with it."""
+"""One board: its NMT state, supervision, emergencies and inputs as received, and the procedure that runs with it."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import STATES, Command, State
 from hyperbit.drivers.canopen.wire.link import Link
 
-_INPUT_TIMEOUT = 0.3  # [s] for the inputs
-_WINDOW = 10  # periods of the heartbeat in which it is counted
+_INPUT_TIMEOUT = 0.3  # [s] for the answer with the inputs
+_WINDOW = 10  # length of a counting window in heartbeat periods
 
 
 @dataclass
@@ -52,7 +52,7 @@ class BeatCount:
     def twice(self, now: float, stalled: bool) -> bool:
         """Returns whether two successive windows of 10 periods had 15 heartbeats or more. Call at each tick.
 
-        Frames that were held up come at once, but after a window with few of them.
+        Delayed frames arrive together, but only after a window with few of them.
         """
         if not self.period or stalled or self._began is None:
             self._began, self.heard, self._windows = now, 0, 0
@@ -72,13 +72,13 @@ class Board:
         self.runner = Runner(layout.node, link)
         self.questioning = self._question_again = False  # whether a question for its inputs waits for the answer
         self.state: State | None = None  # NMT state; None: unknown
-        self.frames = self.boots = 0  # that were understood; boot-up messages among them
+        self.frames = self.boots = 0  # number of understood frames, and of boot-up messages among them
         self.guarded = False  # the master polls it by remote frames: it sends no heartbeats
         self.emergency: int | None = None  # code of the last one; None after its end
-        self.emergency_register = 0  # error register that came with it
+        self.emergency_register = 0  # error register in that emergency
         self.ignored_errors = 0  # bits of 1001h that are no fault, or stood already at the boot
         self.history: int | None = None  # newest entry of 1003h at the boot; None: not asked, or there is none
-        self.unverified = 0  # counts switches and reads whose outputs could not be read back
+        self.unverified = 0  # number of switches and reads whose outputs could not be read back
         self.warnings: tuple[str, ...] = ()  # limits of the board
         self.expected: tuple[Need, ...] = ()  # values of its objects at the end of the last boot
         self.beats = BeatCount()
@@ -89,7 +89,7 @@ class Board:
         self.held: bool | None = None
         self._image, self.report = image, report
         self._inputs = 0
-        self._brought = 0  # mask of the input bits that TPDOs have brought since `begin_input_read`
+        self._brought = 0  # mask of the input bits received by TPDO since `begin_input_read`
         self._ready = self._booted = self._lost = False
         self._frames_before = 0  # number of frames when the board was lost
         self._beat_at: float | None = None
@@ -101,12 +101,11 @@ class Board:
 
     @property
     def heard(self) -> bool:
-        """Whether the board is ready, or has sent a frame since it was lost."""
         return self._ready or self.frames > self._frames_before
 
     @property
     def ready(self) -> bool:
-        """Whether the board was booted and not lost since. Only then its outputs and inputs are known."""
+        """Whether the board was booted and not lost since. Only then are its outputs and inputs known."""
         return self._ready
 
     @ready.setter
@@ -120,12 +119,12 @@ class Board:
 
     @property
     def stopped(self) -> bool:
-        """Whether it is heard, and is stopped: it answers no SDO."""
+        """Whether the board is present and in state stopped: it answers no SDO."""
         return self.state is State.STOPPED and not self._lost
 
     def forget(self) -> None:
         """Marks outputs, inputs and NMT state as unknown until the next boot."""
-        self.released &= not self._booted  # an attempt that failed is not the last start
+        self.released &= not self._booted  # a failed boot does not count as a start
         self.ready = self._booted = False
         self.state = self.history = None
 
@@ -147,29 +146,28 @@ class Board:
             self.runner.start(self._ask_inputs(), self._answered, now)
 
     def probe(self, now: float) -> None:
-        """Asks for the device type, 1000h; any answer shows that the board is back."""
+        """Asks for the device type, 1000h. Any answer shows that the board is back."""
         if not self.runner.running:
             self.runner.start(_ask_presence(), None, now)
 
     def obey(self, command: int) -> None:
-        """Takes an NMT command of another program for the board."""
+        """Takes another program's NMT command to the board."""
         self.held = True if command == Command.PRE_OPERATIONAL and self.held is not None else None
         if not self._ready:
             self.state = None
 
     def guard(self) -> None:
-        """Expects answers to node guarding from now on."""
         self.guarded, self._toggle = True, None
 
     def set_tpdos(self, tpdos: Iterable[Pdo]) -> None:
         self._tpdos = {pdo.cob_id: (pdo.size, carries(pdo.mapping, INPUTS)) for pdo in tpdos}
 
     def begin_input_read(self) -> None:
-        """Records that a byte of the inputs, 6000h, is asked for. A TPDO that comes before the answer is newer."""
+        """Records a request of an input byte, 6000h. A TPDO that comes before the answer is newer."""
         self._brought = 0
 
     def set_input(self, sub: int, value: int) -> None:
-        """Sets one byte of the inputs that was asked for at `begin_input_read`, without the bits of newer TPDOs."""
+        """Sets one input byte as requested at `begin_input_read`, without the bits of newer TPDOs."""
         shift = 8 * (sub - 1)
         mask = 0xFF << shift & ~self._brought
         self._set_inputs(self._inputs & ~mask | value << shift & mask)
@@ -193,7 +191,7 @@ class Board:
         return True
 
     def tick(self, now: float, timeout: float, stalled: bool) -> None:
-        """Ends timeouts; finds the loss of the board, after a silence of `timeout` [s], and a second board."""
+        """Ends timeouts; detects a silence of `timeout` [s], which is the board's loss, and a second board."""
         if not self._lost and self._beat_at is not None and now - self._beat_at >= timeout:
             self._lost, self.held = True, None
             if self._ready:
@@ -234,7 +232,7 @@ class Board:
             self.boots += 1
             self.restarted = True
             self._toggle = None
-        if state is State.BOOT_UP and self._booted:  # also if it was lost before that
+        if state is State.BOOT_UP and self._booted:  # also after a loss
             self._booted = self.released = False
             what = "it has restarted, its outputs are unknown: check its supply, then reset"
             self.fail("board-rebooted", f"board {self.name}: {what}")
@@ -248,11 +246,11 @@ class Board:
             self.emergency, self.emergency_register = None, 0
             return
         self.emergency, self.emergency_register, self.held = code, register, None
-        if self._ready:  # before, it may be old: the boot reads 1001h
+        if self._ready:  # before that, the emergency may be old: the boot reads 1001h
             self._fault("emergency", f"it reports {cia301.emergency_words(code)}: remove the cause, then reset")
 
     def _receive_inputs(self, data: bytes, size: int, carried: Iterable[Carried]) -> bool:
-        """Takes a TPDO. Of one that is longer than its mapping the first bytes count (CiA 301, 7.5.2.36)."""
+        """Takes a TPDO. If it is longer than its mapping, only the first bytes count (CiA 301, 7.5.2.36)."""
         if len(data) < size:
             if self._ready:  # during a boot it may still send its previous mapping
                 what = f"its inputs came in {len(data)} bytes, not in {size}"

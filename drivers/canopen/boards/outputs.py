@@ -1,4 +1,4 @@
-"""Output lines of all boards: levels after the last SYNC, whether they were read back, and what the boards latched."""
+"""Output lines of all boards: levels after the last SYNC, whether they were read back, and the latched bytes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class RpdoFrame:
 
 
 def assemble(boards: Iterable[BoardLayout], rpdos: Mapping[int, tuple[Pdo, ...]]) -> list[RpdoFrame]:
-    """Returns the frames for the RPDOs of boards, by index: one for each bus and COB-ID."""
+    """Returns the frames for the boards' RPDOs, one for each bus and COB-ID; `rpdos`: by index of the board."""
     takers: dict[Key, list[tuple[int, BoardLayout, Pdo]]] = {}
     for i, board in enumerate(boards):
         for pdo in rpdos.get(i, ()):
@@ -56,10 +56,10 @@ class OutputLines:
     """The output lines of all boards, as masks. Bits of frames without a line keep the value that was read back."""
 
     def __init__(self, layout: Layout, pulsed: int) -> None:
-        self.pulsed = pulsed  # on for a pulse only
+        self.pulsed = pulsed  # mask of the lines with pulses
         self.states = 0  # levels after the last SYNC
-        self.unread = 0  # switched, and not read back with this level since
-        self.missed = 0  # whose pulse was not read back while it was on; the caller clears it
+        self.unread = 0  # mask of the lines not read back since their last switch
+        self.missed = 0  # mask of the lines whose pulse was not read back while on; the caller clears it
         # May be on: the bus was lost while a SYNC was being sent, or the end of a pulse was not read back.
         self.doubtful = 0
         self._moved = [0] * len(layout.boards)  # lines of each board that may have changed since `begin_read`
@@ -71,16 +71,16 @@ class OutputLines:
         self._image: dict[Key, int] = {}
         # The bytes that the boards apply at the next SYNC. None: unknown, so the frame is sent before any SYNC.
         self._latched: dict[Key, int | None] = {}
-        self._uncertain: set[Key] = set()  # frames that may have been sent: the next SYNC may apply them
+        self._uncertain: set[Key] = set()  # frames with unconfirmed sending: the next SYNC may apply them
         self._assemble()
 
     @property
     def released(self) -> int:
-        """Mask of the lines whose pulse has ended, and was not read back off."""
+        """Mask of the lines whose pulse has ended, and which were not read back as off."""
         return self.unread & self.pulsed & ~self.states
 
     def adopt(self, i: int, rpdos: tuple[Pdo, ...], values: Mapping[int, int]) -> None:
-        """Sets the RPDOs of board `i`, and the values that were read back, by mapping entry."""
+        """Sets the RPDOs of board `i`, and the read-back values, by mapping entry."""
         if self._rpdos[i] != rpdos:
             self._rpdos[i] = rpdos
             self._assemble()
@@ -105,11 +105,11 @@ class OutputLines:
         self._moved[i] = -1
 
     def begin_read(self, i: int) -> None:
-        """Records that the outputs of board `i` are asked for; no frame that switches them may be on its way."""
+        """Records a request of the outputs of board `i`. No frame that switches them may be under way."""
         self._moved[i] = 0
 
     def read(self, i: int, sub: int, byte: int) -> tuple[int, int]:
-        """Takes an output byte of board `i` that was asked for at `begin_read`; returns its right and wrong lines.
+        """Takes an output byte of board `i`, requested at `begin_read`; returns its right and wrong lines.
 
         Lines that have switched meanwhile are in neither.
         """
@@ -121,7 +121,7 @@ class OutputLines:
         return told & ~wrong, wrong
 
     def mistrust(self, lines: int) -> None:
-        """Records that lines whose pulse has ended may be on: their frames are sent again."""
+        """Records that lines whose pulse has ended may be on. Their frames are sent again."""
         self.doubtful |= lines
         for key, frame in self.frames.items():
             if frame.lines & lines:
@@ -130,8 +130,8 @@ class OutputLines:
     def due(self, states: int, released: int = 0) -> dict[str, list[Key]]:
         """Returns the frames to send before a SYNC, for each bus that needs a SYNC.
 
-        A bus needs a SYNC if an output changes on it, or if its boards have latched other bytes. Then all frames with
-        unknown or other latched bytes are sent too, since the SYNC applies them as well. If lines are `released`, only
+        A bus needs a SYNC if an output changes on it, or if its boards have latched other bytes. The SYNC then applies
+        all latched bytes, so frames with unknown or other latched bytes are sent too. If lines are `released`, only
         their buses get a SYNC, and their frames are always sent.
 
         Raises:
@@ -153,7 +153,7 @@ class OutputLines:
         return {bus: keys for bus, keys in stale.items() if bus in buses}
 
     def send(self, key: Key, states: int) -> Frame:
-        """Returns the frame for these levels, which is handed out now: the latched bytes are unknown until `sent`."""
+        """Returns the frame for these levels. The caller sends it: the latched bytes are unknown until `sent`."""
         self._latched[key] = None
         self._uncertain.add(key)
         self._move(self.frames[key], states ^ self.states)
@@ -173,7 +173,7 @@ class OutputLines:
         return union(self._switch(key, states) for key in self.frames if key[0] == bus)
 
     def bus_lost(self, bus: str, states: int | None) -> None:
-        """Records the loss of a bus; `states`: levels that its SYNC, which was being sent, may have switched to."""
+        """Records the loss of a bus; `states`: levels to which a SYNC under way may have switched it."""
         lines = self.lines_of(bus)
         self.doubtful |= self.released & lines
         if states is not None:
@@ -198,7 +198,7 @@ class OutputLines:
         return switched
 
     def _find_missed(self, lines: int) -> None:
-        """Finds pulses on lines that go off, or are read, which were not read back while they were on."""
+        """Finds missed pulses: on lines that go off, or are read, and were not read back while they were on."""
         self.missed |= lines & self.pulsed & self.states & self.unread & ~self._trusted
 
     def _move(self, frame: RpdoFrame, lines: int) -> None:

@@ -30,38 +30,24 @@ _ERROR_TIMEOUT = 0.5  # [s] in which an error may end after the board hears the 
 
 @dataclass
 class Boot:
-    """The boot of one board.
-
-    Attributes:
-        index: index of the board.
-        board: the board.
-        outputs: takes the outputs that are read back.
-        timing: heartbeat and boot times.
-        error_state: field `error_state` of the arm's file, for boards without an error mode.
-        it: values read from the board.
-        undo: changes of this boot.
-        kind: device type, 1000h; -1 before its answer.
-        stopped: whether the board was found stopped, and has not been started since.
-    """
-
     index: int
     board: Board
-    outputs: OutputLines
+    outputs: OutputLines  # take the levels that are read back
     timing: Timing
-    error_state: ErrorState | None
-    it: Inspection
+    error_state: ErrorState | None  # of the arm's file, for boards without an error mode
+    it: Inspection  # values read from the board
     undo: Undo
-    kind: int = -1
-    stopped: bool = False
+    kind: int = -1  # device type, 1000h; -1 before its answer
+    stopped: bool = False  # found stopped, and not started since
 
 
 def boot_board(
     index: int, board: Board, outputs: OutputLines, timing: Timing, error_state: ErrorState | None
 ) -> Procedure:
-    """Boots a board. A board that is operational and correctly configured is not written to.
+    """Boots a board. Writes nothing to an operational board with the right configuration.
 
-    A board that stops during its boot, and answers no longer, is booted again.
-    A refused board gets its objects and its NMT state back, except outputs that were written off.
+    A board that stops during its boot, and answers no longer, is booted again. A refused board gets its objects and its
+    NMT state back, except outputs that were written off.
     """
     undo = Undo(board.layout.settings.object)
     for stops_left in reversed(range(_MOST_STOPS)):
@@ -70,14 +56,14 @@ def boot_board(
             yield from undo.recorded(_steps(boot))
             return
         except BoardError as error:
-            if error.fault.code != "board-missing":  # node guarding goes on, so that its outputs stay as they are
+            if error.fault.code != "board-missing":  # node guarding continues, so that its outputs stay unchanged
                 yield from undo.restore()
                 raise
-            if boot.kind >= 0:  # perhaps it has stopped since it told its state, and answers only node guarding
+            if boot.kind >= 0:  # the board may have stopped after its last state, and answer only node guarding
                 board.state = None
                 board.guard()
                 yield Wait(lambda: board.state is not None, 2 * timing.heartbeat)
-                if board.stopped and stops_left:  # polls go on: the first one has begun the life time of the board
+                if board.stopped and stops_left:  # polls continue: the first one has started the board's life time
                     undo.begin_again()
                     continue
             board.guarded = False
@@ -92,10 +78,7 @@ def _steps(boot: Boot) -> Procedure:
 def find(layout: BoardLayout, timeout: float, board: Board | None) -> Generator[Step, SdoOutcome, tuple[int, bool]]:
     """Reads the device type, 1000h, until the board answers; returns it, and whether the board was in state stopped.
 
-    Args:
-        layout: wiring of the board.
-        timeout: longest time until its answer [s].
-        board: the frames heard from it; None if nobody listens.
+    It waits up to `timeout` [s]. `board` records the board's frames; None: nobody listens.
     """
     name, kind, ordered = layout.name, None, False
     before = 0 if board is None else board.frames
@@ -138,7 +121,7 @@ def _inspect(boot: Boot) -> Procedure:
 
 
 def _learn_state(boot: Boot) -> Procedure:
-    """Waits for a heartbeat or an answer to node guarding, which tells the NMT state."""
+    """Waits for the NMT state: for a heartbeat or an answer to node guarding."""
     board, it, timing = boot.board, boot.it, boot.timing
     period = it.values.get((0x1017, 0), 0) / 1000
     if it.guarded:
@@ -153,7 +136,7 @@ def _learn_state(boot: Boot) -> Procedure:
 
 
 def _configure(boot: Boot) -> Procedure:
-    """Configures and starts the board, unless it is operational and correctly configured."""
+    """Configures and starts the board, unless it is operational with the right configuration."""
     board, it = boot.board, boot.it
     if board.state is State.OPERATIONAL:
         yield from pdo_search.ask_for_sync(it)
@@ -178,7 +161,7 @@ def _configure(boot: Boot) -> Procedure:
 
 
 def _make_it_tell(boot: Boot) -> Procedure:
-    """Configures heartbeats or node guarding of a board that does not tell its NMT state, and waits for the state."""
+    """Configures heartbeats or node guarding of a board whose NMT state is unknown, and waits for the state."""
     yield from inspection.ensure(boot.it, [need for need in boot.it.needs if need.index in _TELL_STATE])
     yield from _learn_state(boot)
 
@@ -194,8 +177,9 @@ def _settle(boot: Boot) -> Procedure:
 def _enter_pre_operational(boot: Boot) -> Procedure:
     """Enters pre-operational, in which the outputs hold.
 
-    Some boards apply 6207h as soon as they enter pre-operational, so an operational board gets hold in 6206h before.
-    If 1029h lets it be operational in its error state, this write switches the pins to 6200h, which is settled first.
+    Some boards apply 6207h as soon as they enter pre-operational. So an operational board gets hold in 6206h before. If
+    1029h keeps the board operational in its error state, this write switches the pins to 6200h; so 6200h is settled
+    first.
     """
     board, it = boot.board, boot.it
     if board.state is State.PRE_OPERATIONAL:
@@ -207,7 +191,7 @@ def _enter_pre_operational(boot: Boot) -> Procedure:
         yield from _write_error_mode(it, {place: 0 for place in before}, unmet)
         board.state = None
         yield from _learn_state(boot)
-        if not unsure and board.state is not State.OPERATIONAL:  # perhaps it had left operational before the write
+        if not unsure and board.state is not State.OPERATIONAL:  # the board may have left operational before the write
             yield from _write_error_mode(it, before, unmet)
     boot.undo.left(board.state)
     yield from _order(board.layout, Command.PRE_OPERATIONAL)
@@ -228,7 +212,7 @@ def _write_error_mode(it: Inspection, values: dict[tuple[int, int], int], needs:
 def _await_operational(boot: Boot) -> Procedure:
     """Waits until the board is operational; configures it again if it leaves that state.
 
-    A board that has just missed a heartbeat of the master does so.
+    A board leaves operational when it has just missed a heartbeat of the master.
     """
     board, timeout = boot.board, boot.timing.boot_timeout
     up = Wait(lambda: board.state is State.OPERATIONAL, 3 * boot.timing.heartbeat)
@@ -248,17 +232,16 @@ def _await_operational(boot: Boot) -> Procedure:
 
 
 def _set_error_mode(boot: Boot) -> Procedure:
-    """Writes the final error mode, 6206h and 6207h."""
     yield from inspection.ensure(boot.it, boot.it.error_mode)
 
 
 def _check_errors(boot: Boot) -> Procedure:
-    """Refuses a board with an error in 1001h. An error that tells the loss of the master may end within 0.5 s."""
+    """Refuses a board with an error in 1001h. An error that reports the loss of the master may end within 0.5 s."""
     board, it = boot.board, boot.it
     for _ in range(6):
         register, text, lost = yield from inspection.read_errors(it, board)
         if not register:
-            board.emergency, board.emergency_register = None, 0  # its end was missed
+            board.emergency, board.emergency_register = None, 0  # the end of this emergency was missed
             return
         yield Wait(lambda: False, _ERROR_TIMEOUT / 5)
     if not lost:
@@ -268,7 +251,6 @@ def _check_errors(boot: Boot) -> Procedure:
 
 
 def _read_back(boot: Boot) -> Procedure:
-    """Reads outputs and inputs, and adopts them."""
     board, it = boot.board, boot.it
     rpdos, tpdos = pdo_search.adopt(it)
     pdo_search.check_pairs(it.layout, rpdos)
@@ -286,7 +268,7 @@ def _read_back(boot: Boot) -> Procedure:
     board.warnings, board.ignored_errors = tuple(it.warnings), it.quirk.ignored_errors | it.standing_errors
     board.expected = _expected(it, rpdos + tpdos)
     board.beats.period = 0.0 if it.guarded else it.values[0x1017, 0] / 1000
-    if it.standing_errors:  # only a new entry of the history tells a further error in these bits
+    if it.standing_errors:  # a further error in these bits shows only as a new entry of the history
         newest = yield Transfer(0x1003, 1, fresh=True)
         empty = 0 if newest.abort == objects.NO_DATA else None
         board.history = empty if newest.data is None else int.from_bytes(newest.data, "little")
@@ -294,10 +276,9 @@ def _read_back(boot: Boot) -> Procedure:
 
 
 def _carried_values(board: Board, rpdos: Iterable[Pdo]) -> Generator[Step, SdoOutcome, dict[int, int]]:
-    """Reads what RPDOs carry, by mapping entry. Words and single bits of outputs are read as bytes.
+    """Reads the values of RPDOs' mapped objects, by mapping entry; words and single bits of outputs as bytes.
 
-    Raises:
-        BoardError: an object cannot be read. The RPDO would overwrite its value, which nobody knows.
+    Raises BoardError if an object cannot be read: the RPDO would overwrite its unknown value.
     """
     base, bytes_read, values = board.layout.settings.object, dict[int, int](), dict[int, int]()
     for entry in {entry for pdo in rpdos for entry in pdo.mapping if entry >> 16 > _LAST_DUMMY}:
@@ -316,7 +297,7 @@ def _carried_values(board: Board, rpdos: Iterable[Pdo]) -> Generator[Step, SdoOu
 
 
 def _expected(it: Inspection, pdos: tuple[Pdo, ...]) -> tuple[Need, ...]:
-    """Returns the values of the board's objects after the boot, so that a later change is found."""
+    """Returns the values of the board's objects after the boot; a later difference is a fault."""
     needs = {(n.index, n.sub): n for n in (*it.needs, *it.error_mode) if (n.index, n.sub) in it.values}
     for _, present in (*it.rpdos, *it.tpdos):
         index, mapping = present.parameters, present.mapping

@@ -15,14 +15,7 @@ _MOST_REBOOTS = 5  # restarts of one board during its boot
 
 
 class Booting:
-    """Boots all boards, and collects their faults.
-
-    Args:
-        boards: all boards.
-        outputs: takes the outputs that are read back.
-        wiring: tells the error state of boards without an error mode.
-        timing: heartbeat and boot times.
-    """
+    """Boots all boards, and collects their faults."""
 
     def __init__(self, boards: Sequence[Board], outputs: OutputLines, wiring: Wiring, timing: Timing) -> None:
         self._boards, self._outputs = boards, outputs
@@ -34,7 +27,6 @@ class Booting:
 
     @property
     def under_way(self) -> bool:
-        """Whether the boot of a board still runs."""
         return bool(self._pending)
 
     @property
@@ -54,7 +46,7 @@ class Booting:
             self._start(board, now)
 
     def rebooted(self, board: Board, now: float) -> None:
-        """Boots a board again that has restarted during its boot: its configuration is lost."""
+        """Boots a board again after a restart during its boot: the configuration is lost."""
         if not self._pending:
             return
         i = board.index
@@ -91,7 +83,7 @@ class Booting:
         self._find_lost()
 
     def _find_lost(self) -> None:
-        """Finds boards that were booted and lost again while others booted; at the end."""
+        """Finds, at the end, boards that were booted and then lost while others booted."""
         if self._pending:
             return
         for board in self._boards:

@@ -1,4 +1,4 @@
-"""The configuration of a board: the values that a wiring needs in its objects (CiA 301, 7.5.2; CiA 401, 7)."""
+"""The configuration of a board: the values of objects that a wiring needs (CiA 301, 7.5.2; CiA 401, 7)."""
 
 from __future__ import annotations
 
@@ -44,9 +44,7 @@ def synchronisation() -> list[Need]:
 def heartbeats(timing: Timing, entry: int = 1) -> list[Need]:
     """Supervision by heartbeats in both directions, 1016h and 1017h.
 
-    Args:
-        timing: heartbeat times.
-        entry: sub-index of 1016h that watches the master; two entries must not watch one node.
+    `entry` is the sub-index of 1016h that watches the master; two entries must not watch one node.
     """
     watched = MASTER << 16 | _ms(timing.heartbeat_timeout)
     return [
@@ -56,7 +54,7 @@ def heartbeats(timing: Timing, entry: int = 1) -> list[Need]:
 
 
 def emergencies(node: int) -> list[Need]:
-    """Emergencies, 1014h: sent with the COB-ID that the master listens to."""
+    """Emergencies, 1014h: sent with the COB-ID that the master receives."""
     return [Need(0x1014, 0, 0x80 + node, 4, "COB-ID of its emergencies")]
 
 
@@ -71,11 +69,9 @@ def guarding(timing: Timing) -> list[Need]:
 
 
 def on_master_lost(board: BoardLayout, required: bool = True) -> Need:
-    """Error behaviour, 1029h: the NMT state that the board enters when it loses the master.
+    """Error behaviour, 1029h: the board's NMT state after the loss of the master.
 
-    Args:
-        board: wiring of the board.
-        required: whether a board whose outputs must go off needs the object.
+    `required`: whether a board whose outputs must go off needs the object.
     """
     # A board that lost the master must leave operational: otherwise RPDOs and SYNC of a dying master still switch it.
     # Boards that hold enter pre-operational, in which they answer SDO. Boards that contract enter stopped, the only
@@ -86,7 +82,7 @@ def on_master_lost(board: BoardLayout, required: bool = True) -> Need:
 
 
 def leaves_operational(behaviour: int | None) -> bool:
-    """Returns whether a board with this 1029h leaves operational when it loses the master; None: it has no 1029h."""
+    """Returns whether a board with this 1029h leaves operational when it loses the master; None: no 1029h."""
     return behaviour in (None, _PRE_OPERATIONAL, _STOPPED)
 
 
@@ -108,9 +104,7 @@ def hold_outputs(board: BoardLayout) -> list[Need]:
 def error_mode(board: BoardLayout, required: bool = True) -> list[Need]:
     """Error mode and value, 6206h and 6207h: the outputs take their loss level when the board loses the master.
 
-    Args:
-        board: wiring of the board.
-        required: whether a board whose outputs must go off needs the objects.
+    `required`: whether a board whose outputs must go off needs the objects.
     """
     bits, (taken, levels), why = board.output_bits, board.loss, _CONTRACT if required else None
     needs = [

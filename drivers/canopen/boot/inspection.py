@@ -22,55 +22,37 @@ from hyperbit.drivers.canopen.wiring import MASTER, ErrorState, Timing
 _PROFILE, _HAS_INPUTS, _HAS_OUTPUTS = 0x191, 1 << 16, 1 << 17  # of 1000h (CiA 401, 6.2)
 _NO_PROFILE = (0, 0xFFFF)  # low words of 1000h: no profile, or several devices (CiA 301, 7.5.2.1)
 _MASTER_LOST, _GENERIC, _COMMUNICATION = 0x8130, 0x01, 0x10  # error code, and the bits of 1001h that it sets
-_MOST_ENTRIES = 8  # of the error history that are read
+_MOST_ENTRIES = 8  # entries of the error history to read
 _NO_HISTORY = objects.ABSENT - {objects.NO_SUB_INDEX, objects.NO_DATA}  # abort codes of a board without 1003h
 
 
 @dataclass
 class Inspection:
-    """The values read from one board, and the needs of its wiring.
-
-    Attributes:
-        layout: wiring of the board.
-        quirk: peculiarities of the device.
-        warnings: sentences on the limits of the board, without its name.
-        values: values read or written, by index and sub-index.
-        needs: needs in the order of writing, without PDOs and error mode.
-        error_mode: needs that are written when the board is operational.
-        has_error_mode: whether it has 6206h.
-        synchronous: whether it has 1005h, so that it receives SYNC.
-        refuses_sync: whether it has refused a synchronous transmission type of its RPDOs.
-        standing_errors: bits of 1001h that stay set without a present cause.
-        guarded: whether node guarding supervises it, in place of heartbeats.
-        rpdos: the wanted RPDOs, each with its present state.
-        tpdos: the wanted TPDOs, likewise.
-    """
+    """The values read from one board, and the needs of its wiring."""
 
     layout: BoardLayout
     quirk: Quirk = NONE
-    warnings: list[str] = field(default_factory=list)
-    values: dict[tuple[int, int], int] = field(default_factory=dict)
-    needs: list[Need] = field(default_factory=list)
-    error_mode: list[Need] = field(default_factory=list)
-    has_error_mode: bool = False
-    synchronous: bool = True
-    refuses_sync: bool = False
-    standing_errors: int = 0
-    guarded: bool = False
-    rpdos: list[tuple[Pdo, PdoState]] = field(default_factory=list)
-    tpdos: list[tuple[Pdo, PdoState]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)  # sentences on the limits of the board, without its name
+    values: dict[tuple[int, int], int] = field(default_factory=dict)  # read or written, by index and sub-index
+    needs: list[Need] = field(default_factory=list)  # in the order of writing, without PDOs and error mode
+    error_mode: list[Need] = field(default_factory=list)  # needs that are written when the board is operational
+    has_error_mode: bool = False  # the board has 6206h
+    synchronous: bool = True  # the board has 1005h, so it receives SYNC
+    refuses_sync: bool = False  # the board has refused a synchronous transmission type of its RPDOs
+    standing_errors: int = 0  # bits of 1001h that stay set without a present cause
+    guarded: bool = False  # supervised by node guarding in place of heartbeats
+    rpdos: list[tuple[Pdo, PdoState]] = field(default_factory=list)  # wanted ones, each with its present state
+    tpdos: list[tuple[Pdo, PdoState]] = field(default_factory=list)  # likewise
 
     @property
     def name(self) -> str:
-        """Name of the board."""
         return self.layout.name
 
     def unmet(self, needs: Iterable[Need]) -> list[Need]:
-        """Returns the unmet needs of those objects that the board has."""
+        """Returns the unmet needs of objects that the board has."""
         return [n for n in needs if (n.index, n.sub) in self.values and not n.met(self.values[n.index, n.sub])]
 
     def warn(self, text: str) -> None:
-        """Adds a warning."""
         if text not in self.warnings:
             self.warnings.append(text)
 
@@ -79,16 +61,10 @@ Reading = Generator[Step, SdoOutcome, None]
 
 
 def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState | None) -> Reading:
-    """Reads all objects that matter, without the PDOs, and writes nothing.
+    """Reads all relevant objects except PDOs; writes nothing.
 
-    Args:
-        it: takes the values.
-        kind: device type of the board, 1000h.
-        timing: heartbeat times.
-        error_state: field `error_state` of the arm's file, for boards without an error mode.
-
-    Raises:
-        BoardError: the board cannot meet a need of its wiring, or does not answer.
+    `kind` is the device type, 1000h; `error_state` that of the arm's file, for boards without an error mode. Raises
+    BoardError if the board cannot meet a need of its wiring, or does not answer.
     """
     yield from _identify(it)
     yield from _check_type(it, kind)
@@ -106,9 +82,8 @@ def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState |
 def read_errors(it: Inspection, board: Board | None) -> Generator[Step, SdoOutcome, tuple[int, str, bool]]:
     """Reads the error register and, if it is set, the newest entry of the error history.
 
-    Returns:
-        The bits of 1001h that are a fault; a sentence with 1001h, 1003h and the last emergency; and whether the error
-        is the loss of the master, which ends when its heartbeats return.
+    Returns the bits of 1001h that are a fault; a sentence with 1001h, 1003h and the last emergency; and whether the
+    error is the loss of the master, which ends when its heartbeats return.
     """
     register = yield from objects.read(it.name, 0x1001, 0, fresh=True)
     register &= ~it.quirk.ignored_errors
@@ -122,7 +97,7 @@ def read_errors(it: Inspection, board: Board | None) -> Generator[Step, SdoOutco
         cause: int | None = entry & 0xFFFF
     elif place is None:
         text += "; it has no 1003h (error history)"
-        cause = _MASTER_LOST if reported is None else reported  # the likely cause, as it has just lost a master
+        cause = _MASTER_LOST if reported is None else reported  # the likely cause: the board has just lost a master
     else:
         cause = None
     if reported is not None:
@@ -133,8 +108,8 @@ def read_errors(it: Inspection, board: Board | None) -> Generator[Step, SdoOutco
 def _newest_error(it: Inspection) -> Generator[Step, SdoOutcome, tuple[int | None, int]]:
     """Returns sub-index and value of the newest error in 1003h.
 
-    The value is 0 if there is none, or it cannot be read. The sub-index is None if the board has no 1003h. Some stacks
-    also enter the ends of errors, with the code 0000h.
+    The value is 0 if there is no error, or it cannot be read. The sub-index is None if the board has no 1003h. Some
+    stacks also enter the ends of errors, with the code 0000h.
     """
     for sub in range(1, 1 + _MOST_ENTRIES):
         outcome = yield Transfer(0x1003, sub, fresh=True)
@@ -187,7 +162,7 @@ def _check_type(it: Inspection, kind: int) -> Reading:
 
 
 def _check_without_profile(it: Inspection, kind: int) -> Reading:
-    """Accepts a device type without the profile 401, if it names no other profile and the objects are there."""
+    """Accepts a device type without profile 401 if it names no other profile and the objects exist."""
     bits, base = (it.layout.output_bits, OUTPUTS) if it.layout.outputs else (it.layout.input_bits, INPUTS)
     text = f"{kind:08X}h in 1000h sub 0 (device type), not the profile 0191h of CiA 401"
     if kind & 0xFFFF in _NO_PROFILE and (yield from objects.find(it.name, base, 0)):
@@ -229,7 +204,7 @@ def _entry(it: Inspection) -> Generator[Step, SdoOutcome, int]:
 
 
 def _error_behaviour(it: Inspection) -> Reading:
-    """Reads 1029h, which a board with an error mode needs if its outputs must go off."""
+    """Reads 1029h. A board with an error mode needs it if its outputs must go off."""
     lost = configuration.on_master_lost(it.layout, required=it.has_error_mode)
     yield from _read(it, [lost])
     if (lost.index, lost.sub) not in it.values:
@@ -240,7 +215,7 @@ def _outputs(it: Inspection, error_state: ErrorState | None) -> Reading:
     """Checks polarity, filter and error mode of the outputs; a maker's object has none of these."""
     layout = it.layout
     state = layout.settings.error_state or error_state
-    goes_off = state == "off" and layout.loss_is_off  # by itself, as it must
+    goes_off = state == "off" and layout.loss_is_off  # goes off by itself, as required
     if layout.settings.object == OUTPUTS:
         yield from _read(it, configuration.polarity(layout) + configuration.filters(layout))
         yield from _read(it, configuration.error_mode(layout, required=not goes_off), it.error_mode)

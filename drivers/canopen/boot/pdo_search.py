@@ -16,7 +16,7 @@ from hyperbit.drivers.canopen.sdo.procedure import BoardError, Step
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import INVALID
 
-_MOST_PDOS = 32  # PDOs of one direction that are searched
+_MOST_PDOS = 32  # PDOs of one direction to search
 _MOST_USED = 4  # PDOs of one direction
 _LAST_TRIED = 8  # a board without this PDO has none after it
 
@@ -24,9 +24,7 @@ _LAST_TRIED = 8  # a board without this PDO has none after it
 def read_pdos(it: Inspection, in_full: bool) -> Reading:
     """Reads the PDOs for the process data.
 
-    Args:
-        it: takes the PDOs.
-        in_full: read all entries of mappings, even if their number shows that they differ.
+    `in_full`: read all entries of mappings, even if their number shows that they differ.
     """
     for wanted, found in ((it.layout.rpdos, it.rpdos), (it.layout.tpdos, it.tpdos)):
         found.clear()
@@ -43,14 +41,9 @@ def read_pdos(it: Inspection, in_full: bool) -> Reading:
 def cover(
     it: Inspection, pdos: list[tuple[Pdo, PdoState]]
 ) -> Generator[Step, SdoOutcome, tuple[list[tuple[Pdo, PdoState]], list[Need]] | None]:
-    """Searches PDOs that carry the process data together with their present mappings.
+    """Searches PDOs whose present mappings together carry the process data; `pdos` refuse the wanted mapping.
 
-    Args:
-        it: takes the values read.
-        pdos: the RPDOs, or the TPDOs, which refuse the wanted mapping.
-
-    Returns:
-        The PDOs to set up in their place, and needs to meet before; None if there are no such PDOs.
+    Returns the PDOs to set up in their place, and needs to meet before; None if there are no such PDOs.
     """
     first = pdos[0][0].parameters & 0xFF00
     base, bits = (
@@ -98,11 +91,7 @@ def adopt(it: Inspection) -> tuple[tuple[Pdo, ...], tuple[Pdo, ...]]:
 
 
 def check_pairs(layout: BoardLayout, rpdos: Iterable[Pdo]) -> None:
-    """Checks that the two outputs of an actuator change at one instant: in one RPDO, or with one SYNC.
-
-    Raises:
-        BoardError: both could be on between two frames.
-    """
+    """Checks that the two outputs of an actuator change at one instant: in one RPDO, or with one SYNC."""
     for pair in layout.pairs:
         both = pair[0] | pair[1]
         carrying = [pdo for pdo in rpdos if carried_bits([pdo], layout.settings.object) & both]
@@ -156,8 +145,7 @@ def _find_pdo(
 ) -> Generator[Step, SdoOutcome, PdoState | None]:
     """Searches a PDO for the bits of the wanted one.
 
-    Returns:
-        The first PDO that carries the bits, else RPDO1 or TPDO1 if it is the wanted one, else a free one; or None.
+    Returns the first PDO that carries the bits, else RPDO1 or TPDO1 if it is the wanted one, else a free one; or None.
     """
     first = wanted.parameters & 0xFF00
     base, bits = _carried_object(it, first)
@@ -189,7 +177,7 @@ def _find_pdo(
 
 
 def _silenced(it: Inspection, others: Iterable[PdoState], cob_ids: Container[int]) -> list[Need]:
-    """Returns needs that disable the PDOs with one of some COB-IDs."""
+    """Returns needs that disable the PDOs with some COB-IDs."""
     needs = []
     for other in others:
         if other.valid and other.cob_id & 0x7FF in cob_ids:

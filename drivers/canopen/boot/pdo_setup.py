@@ -23,47 +23,34 @@ _Put = Callable[[int, int, int, int, int | None], Generator[Step, SdoOutcome, bo
 
 
 class PdoState(NamedTuple):
-    """The present state of one PDO of a board.
+    """The present state of one PDO of a board."""
 
-    Attributes:
-        parameters: index of its communication parameters, from 1400h or 1800h.
-        cob_id: COB-ID with its flags, sub-index 1.
-        kind: transmission type, sub-index 2.
-        timer: sub-index 5: a deadline of an RPDO, which is not used, or the event time of a TPDO [ms]; None if absent.
-        inhibit: inhibit time of a TPDO, sub-index 3; None if absent.
-        mapping: entries of its mapping that were read.
-        entries: number of entries of its mapping.
-    """
-
-    parameters: int
-    cob_id: int
-    kind: int
-    timer: int | None
-    inhibit: int | None
-    mapping: tuple[int, ...]
-    entries: int
+    parameters: int  # index of its communication parameters, from 1400h or 1800h
+    cob_id: int  # with its flags, sub-index 1
+    kind: int  # transmission type, sub-index 2
+    timer: int | None  # sub-index 5: a deadline of an RPDO, unused, or the event time of a TPDO [ms]; None: absent
+    inhibit: int | None  # time of a TPDO, sub-index 3; None: absent
+    mapping: tuple[int, ...]  # entries that were read
+    entries: int  # number of entries in the board
 
     @property
     def valid(self) -> bool:
-        """Whether the PDO is enabled."""
         return not self.cob_id & INVALID
 
     @property
     def pdo(self) -> Pdo:
-        """The present PDO."""
         return Pdo(self.parameters, self.cob_id & 0x1FFF_FFFF, self.mapping, self.kind <= 240)
 
     @property
     def in_full(self) -> bool:
-        """Whether all entries of its mapping were read."""
+        """Whether all entries of the mapping were read."""
         return len(self.mapping) == self.entries
 
     def maps(self, wanted: Pdo) -> bool:
-        """Returns whether its mapping is the wanted one."""
         return self.in_full and self.mapping == wanted.mapping
 
     def fits(self, wanted: Pdo) -> bool:
-        """Returns whether nothing must be changed."""
+        """Returns whether no value must change."""
         right = self.valid and self.cob_id & 0x3FFF_FFFF == wanted.cob_id and self.maps(wanted)
         kinds = ON_SYNC if wanted.parameters < 0x1800 else ON_CHANGE
         return right and self.kind in kinds and self.timer in (None, self.wanted_timer) and not self.inhibit
@@ -75,15 +62,10 @@ class PdoState(NamedTuple):
 
 
 def read_pdo(board: str, parameters: int, most: int = _MOST_ENTRIES) -> Generator[Step, SdoOutcome, PdoState | None]:
-    """Reads a PDO; returns None if the board has no such PDO.
+    """Reads a PDO, and at most `most` entries of its mapping; returns None if the board has no such PDO.
 
-    Args:
-        board: name of the board.
-        parameters: index of its communication parameters.
-        most: greatest number of mapping entries to read.
-
-    Raises:
-        BoardError: the board does not answer, or its answer is not according to CiA 301.
+    `parameters` is the index of its communication parameters. Raises BoardError if the board does not answer, or not
+    according to CiA 301.
     """
     cob_id = yield from objects.find(board, parameters, 1, 4)
     if cob_id is None:
@@ -135,18 +117,10 @@ def usable(board: BoardLayout, wanted: Pdo, present: PdoState) -> str | None:
 def set_up(
     board: BoardLayout, wanted: Pdo, present: PdoState, synchronous: bool
 ) -> Generator[Step, SdoOutcome, PdoState]:
-    """Writes what differs in a PDO; returns its state afterwards, in which it may carry more than wanted.
+    """Writes what differs in a PDO; returns the resulting state, which may carry more than `wanted`.
 
-    The order is: disable, unmap, map, type and times, enable. A refused value stays as it was.
-
-    Args:
-        board: wiring of the board.
-        wanted: the wanted PDO.
-        present: the PDO before.
-        synchronous: whether the board receives SYNC.
-
-    Raises:
-        BoardError: the PDO cannot be used, or the board does not answer.
+    The order is: disable, unmap, map, type and times, enable. A refused value stays as it was. `synchronous`: whether
+    the board receives SYNC. Raises BoardError if the PDO cannot be used, or the board does not answer.
     """
     name, parameters = board.name, wanted.parameters
     rpdo = parameters < 0x1800
@@ -154,7 +128,7 @@ def set_up(
     written: set[tuple[int, int]] = set()
 
     def put(index: int, sub: int, value: int, size: int, before: int | None) -> Generator[Step, SdoOutcome, bool]:
-        """Writes a value that differs; returns whether the object has it now."""
+        """Writes a value that differs; returns whether the object has the value now."""
         if value == before:
             return True
         need = Need(index, sub, value, size)

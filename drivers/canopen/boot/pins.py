@@ -1,12 +1,12 @@
 """The pins of a board before its start: START changes no pin.
 
-START applies the stored outputs, 6200h, to the pins. In the error state the pins may differ from 6200h. So 6200h gets
-the levels that the pins are known to have, and "off" where nobody can know them. The boot writes this before it
-overwrites 6206h and 6207h. From then on the board itself stores what was learnt, also for a later boot.
+START applies the stored outputs, 6200h, to the pins. In the error state the pins may differ from 6200h. So the boot
+writes the known levels of the pins to 6200h, and "off" where the level is unknown. It does so before it overwrites
+6206h and 6207h. From then on 6200h stores this knowledge, also for a later boot.
 
-A byte may also have bits that hold. A board that restarts comes back with all outputs off, and the byte that was read
-before would switch some on. So a byte with such bits is written in two steps, directly after it was read: a restart
-before the first step is noticed by its boot-up message, and after a later restart the board refuses the second step.
+A byte may also have bits that hold. A restarted board has all outputs off, and the byte that was read before would
+switch some on. So a byte with such bits is written in two steps, directly after it was read. A boot-up message reveals
+a restart before the first step. After a later restart the board refuses the second step.
 """
 
 from __future__ import annotations
@@ -26,32 +26,25 @@ _ALL = 0xFF
 
 
 class ErrorMode(NamedTuple):
-    """What one byte of outputs does in the error state.
+    """What one byte of outputs does in the error state."""
 
-    Attributes:
-        taken: mask of the bits that may take their error value; the others hold (6206h).
-        value: error value (6207h).
-        told: whether the board tells both; otherwise they follow from `error_state` of the arm's file.
-    """
-
-    taken: int
-    value: int
-    told: bool
+    taken: int  # mask of the bits that may take their error value; the others hold (6206h)
+    value: int  # error value (6207h)
+    told: bool  # both were read from the board; otherwise they follow from `error_state` of the arm's file
 
 
 def settle(
     it: Inspection, error_state: ErrorState | None, stopped: bool, held: int | None
 ) -> Generator[Step, SdoOutcome, bool]:
-    """Writes the outputs so that START changes no pin. Call in state pre-operational, before 6206h is overwritten.
+    """Writes the outputs so that START changes no pin. Call in pre-operational, before 6206h is overwritten.
 
     Args:
-        it: the board's inspection.
-        error_state: field `error_state` of the arm's file, for boards without an error mode.
+        error_state: of the arm's file, for boards without an error mode.
         stopped: whether the board was found stopped: then its pins have their error values.
-        held: the used output bits that this master has commanded, if the pins have held since; None: unknown.
+        held: used output bits as this master commanded them, if the pins have held since; None: unknown.
 
     Returns:
-        Whether outputs were written that the board may have switched itself.
+        Whether the boot wrote outputs that the board may have switched itself.
 
     Raises:
         BoardError: the board refuses, or does not answer.
@@ -85,7 +78,7 @@ def settle(
 
 
 def _subs(it: Inspection) -> Generator[Step, SdoOutcome, range]:
-    """Returns the sub-indices of all output bytes of the board, also of those that the wiring does not use."""
+    """Returns the sub-indices of all output bytes of the board, also of unwired ones."""
     index = it.layout.settings.object
     count = it.values.get((index, 0))
     if count is None:  # no output of the board is wired
@@ -94,7 +87,7 @@ def _subs(it: Inspection) -> Generator[Step, SdoOutcome, range]:
 
 
 def _error_mode(it: Inspection, sub: int, error_state: ErrorState | None) -> Generator[Step, SdoOutcome, ErrorMode]:
-    """Reads what a byte of outputs does in the error state, as the board has it now."""
+    """Reads what a byte of outputs does in the error state at present."""
     if it.layout.settings.object == OUTPUTS:
         mode = yield from objects.find(it.name, 0x6206, sub)
         if mode is not None:

@@ -6,22 +6,11 @@ from typing import NamedTuple
 
 
 class Quirk(NamedTuple):
-    """The peculiarities of a device.
-
-    Attributes:
-        device: name, for messages.
-        source: document with this information.
-        further_rpdos: number of the first RPDO that may carry outputs after the first 64; lower ones carry analog
-            outputs.
-        ignored_errors: bits of the error register 1001h that the device sets without a fault.
-        guarding: use node guarding although the device has the objects of heartbeats.
-    """
-
-    device: str
-    source: str
-    further_rpdos: int = 2
-    ignored_errors: int = 0
-    guarding: bool = False
+    device: str  # name, for messages
+    source: str  # document with this information
+    further_rpdos: int = 2  # first RPDO that may carry outputs after the first 64; lower ones carry analog outputs
+    ignored_errors: int = 0  # bits of 1001h that the device sets without a fault
+    guarding: bool = False  # use node guarding although the device has the objects of heartbeats
 
 
 NONE = Quirk("", "")
@@ -39,7 +28,7 @@ VENDORS = frozenset(vendor for vendor, _ in QUIRKS)
 
 
 def quirk_of(vendor: int | None, product: int | None) -> Quirk:
-    """Returns the peculiarities of a device; None: the device does not tell this number."""
+    """Returns the peculiarities of a device; None: the device lacks this number."""
     if vendor is None:
         return NONE
     return QUIRKS.get((vendor, product)) or QUIRKS.get((vendor, None)) or NONE

@@ -1,4 +1,4 @@
-"""What a boot has changed on a board, so that a refused boot leaves the board as it was found."""
+"""The changes of a boot on a board. A refused boot takes them back."""
 
 from __future__ import annotations
 
@@ -10,24 +10,20 @@ _COMMANDS = {State.OPERATIONAL: Command.START, State.STOPPED: Command.STOP}
 
 
 class Undo:
-    """Records the changes of a boot.
+    """Records the changes of a boot. Objects of the index `spared`, the outputs, are never written back.
 
-    Attributes:
-        pins_known: whether 6200h holds what the pins are known to be, so that a START changes none.
-
-    Args:
-        spared: index of the outputs. They are never written back: nothing must be energised.
+    Nothing must be energised.
     """
 
     def __init__(self, spared: int) -> None:
-        self.pins_known = False
+        self.pins_known = False  # whether 6200h has the known levels of the pins, so that START changes none
         self._spared = spared
         self._seen: dict[tuple[int, int], bytes] = {}  # last value of each object
-        self._state_known = False  # whether the NMT state that was found is recorded, or was pre-operational
-        self._back: list[Transfer | Order] = []  # the steps that take each change back
+        self._state_known = False  # the initial NMT state is recorded, or was pre-operational
+        self._back: list[Transfer | Order] = []  # steps that undo each change
 
     def recorded(self, procedure: Procedure) -> Procedure:
-        """Runs a procedure, and records what it writes. An object that it has not read is read before its write."""
+        """Runs a procedure, and records its writes. Reads an object of unknown value before its write."""
         outcome: SdoOutcome | None = None
         while True:
             try:
@@ -40,12 +36,12 @@ class Undo:
             self._note(step, outcome)
 
     def left(self, before: State | None) -> None:
-        """Records that the board leaves an NMT state for pre-operational by a command of the boot."""
+        """Records that a command of the boot moves the board from an NMT state to pre-operational."""
         if before in _COMMANDS and not self._state_known:
             self._back.append(Order(_COMMANDS[before]))
 
     def begin_again(self) -> None:
-        """Records on, after the board has stopped during the boot: its pins may have changed."""
+        """Continues the record after the board has stopped during the boot: its pins may have changed."""
         self.pins_known, self._state_known = False, bool(self._back)
 
     def restore(self) -> Procedure:

@@ -11,15 +11,16 @@ from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.link import Link
 
 _SYNC = Frame(cia301.SYNC)
-_LONGEST = 1.0  # [s] from the begin of a commit, within which its frames are sent, or its bus is lost
+_LONGEST = 1.0  # [s] from the begin of a commit, until its frames are sent or its bus is lost
 
 
 class BusCommit:
     """Switches all boards of one bus at one instant.
 
-    It can be given up until its SYNC is handed out. Boards that wait for SYNC then keep their outputs. A board without
-    SYNC switches when its RPDO is sent, and a frame that was handed out cannot be called back. So the next commit of
-    the bus waits for these frames, as it waits for a SYNC. It waits for every older RPDO with its COB-ID, too.
+    A commit can be given up until its SYNC is handed out. Boards that wait for SYNC then keep their outputs. A board
+    without SYNC switches when its RPDO is sent, and a frame that was handed out cannot be called back. So the next
+    commit of the bus waits for these frames, as it waits for a SYNC. It also waits for every older RPDO with its
+    COB-ID.
 
     `record` takes the masks of switched lines, each with the real time of its SYNC [s].
     """
@@ -28,26 +29,26 @@ class BusCommit:
         self.link, self.bus = link, link.name
         self.states = 0  # levels of all lines after the commit
         self.began = 0.0  # [s, real time]
-        self.collecting = False  # no SYNC was handed out, so that nothing has switched but boards without SYNC
+        self.collecting = False  # no SYNC was handed out: only boards without SYNC have switched
         self.waiting: dict[Frame, Key | None] = {}  # RPDOs and NMT commands that were handed out and not sent yet
         self.failed: str | None = None  # why, as a sentence
         self._outputs, self._record = outputs, record
         self._syncing = False  # SYNC was handed out and not sent yet
-        self._leaving: dict[Frame, Key] = {}  # frames of a commit given up that switch without SYNC
+        self._leaving: dict[Frame, Key] = {}  # frames of an abandoned commit that switch without SYNC
 
     @property
     def under_way(self) -> bool:
-        """Whether a frame was handed out that may still switch something."""
+        """Whether a frame under way may still switch something."""
         return self.collecting or self.unknown
 
     @property
     def unknown(self) -> bool:
-        """Whether a frame that switches was handed out, and may or may not be sent."""
+        """Whether a frame that switches was handed out, and its sending is not confirmed."""
         return self._syncing or bool(self._leaving)
 
     @property
     def leaving(self) -> int:
-        """Mask of the lines that frames already handed out will switch, whatever is commanded now."""
+        """Mask of the lines that frames under way will switch, whatever is commanded now."""
         lines = union(self._outputs.frames[key].lines for key in self._leaving.values())
         if self._syncing:
             lines |= self._outputs.lines_of(self.bus)
@@ -60,7 +61,7 @@ class BusCommit:
         return f"{self.bus}: an older frame {older[0]:03X}h was not sent yet" if older else None
 
     def begin(self, states: int, orders: Sequence[Frame], keys: Sequence[Key], clock: float, now: float) -> None:
-        """Hands out NMT commands, then RPDOs; call `sync` when none of them waits."""
+        """Hands out NMT commands, then RPDOs. Call `sync` when none of them waits."""
         self.states, self.collecting, self.failed, self.began = states, True, None, clock
         self.waiting = dict.fromkeys(orders) | {self._outputs.send(key, states): key for key in keys}
         for frame in list(self.waiting):
@@ -71,7 +72,7 @@ class BusCommit:
         self.link.send_frame(_SYNC, now)
 
     def give_up(self, why: str) -> None:
-        """Cancels it if its SYNC was not handed out: no SYNC is sent for it.
+        """Cancels the commit unless its SYNC was handed out. No SYNC is then sent for it.
 
         The boards may have latched its RPDOs. `OutputLines.due` sends these frames anew before the next SYNC.
         """
@@ -81,7 +82,7 @@ class BusCommit:
             self.waiting, self.collecting, self.failed = {}, False, why
 
     def lost(self) -> None:
-        """Records the loss of the bus. Its outputs stay unknown until the boot if its SYNC was handed out."""
+        """Records the loss of the bus. If the SYNC was handed out, the outputs stay unknown until the boot."""
         self._outputs.bus_lost(self.bus, self.states if self._syncing else None)
         if self._syncing:
             self.failed = f"{self.bus} was lost while its SYNC was being sent"
@@ -109,7 +110,7 @@ class BusCommit:
             self._leaving.pop(frame, None)
 
     def tick(self, clock: float) -> None:
-        if self.unknown and clock - self.began > _LONGEST:  # in doubt: nothing may wait for a frame for ever
+        if self.unknown and clock - self.began > _LONGEST:  # unknown result: nothing may wait for a frame for ever
             self.lost()
         if not self.link.echoes:  # frames that did not fail count as sent
             for frame in [*self.waiting, *self._leaving, *([_SYNC] if self._syncing else ())]:

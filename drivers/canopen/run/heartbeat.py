@@ -13,28 +13,28 @@ from hyperbit.drivers.canopen.wire.link import Link, Outgoing
 from hyperbit.drivers.canopen.wiring import MASTER, Timing
 
 _LONGEST_STEP = 0.05  # [s]
-_PHASES = 10  # of the polls of node guarding, so that boards are not polled at the same tick
+_PHASES = 10  # groups of boards with node guarding, polled at different ticks
 BEAT = cia301.heartbeat(MASTER, State.OPERATIONAL)
 
 
 class Heartbeat:
-    """Sends the master's heartbeat, polls boards with node guarding, finds pauses without. `clock` is real time [s]."""
+    """Sends the master's heartbeat, polls guarded boards, and detects pauses of both. `clock` is real time [s]."""
 
     def __init__(self, links: Collection[Link], boards: Sequence[Board], timing: Timing) -> None:
         self._links, self._boards = links, boards
         self._period, self._timeout = timing.heartbeat, timing.heartbeat_timeout
         self._polls: dict[int, tuple[float, Outgoing]] = {}  # of boards with node guarding, by index: time and frame
-        self._last: float | None = None  # time of the last `tick`; None also after a pause that was told
-        self._sent: dict[str, float] = {}  # of each bus, time of the last heartbeat
-        self._before: dict[str, float] = {}  # and the one before it
+        self._last: float | None = None  # time of the last `tick`; None also after a reported pause
+        self._sent: dict[str, float] = {}  # time of the last heartbeat on each bus
+        self._before: dict[str, float] = {}  # time of the heartbeat before that
 
     def tick(self, clock: float, now: float) -> None:
-        """Sends the heartbeats and polls that are due at `clock`; `now` stands still while the loop stalls."""
+        """Sends the heartbeats and polls due at `clock`; `now` stands still while the loop stalls."""
         self._last = clock
         for link in self._links:
             sent = self._sent.get(link.name, -math.inf)
             due = clock >= sent + self._period - 1e-6
-            if link.usable and (due or link.failing or link.misses_echo(now, BEAT)):  # its echo tells of the others
+            if link.usable and (due or link.failing or link.misses_echo(now, BEAT)):  # shows whether others were sent
                 link.send_frame(BEAT, now)
                 self._before[link.name], self._sent[link.name] = sent, clock
         for board in self._boards:
@@ -50,6 +50,11 @@ class Heartbeat:
             outgoing = Outgoing(Frame(cia301.REMOTE | cia301.HEARTBEAT + board.layout.node))
             self._polls[board.index] = at, outgoing
             board.link.queue(outgoing, now, urgent=True)
+
+    def answered(self, board: Board, now: float) -> None:
+        """Records a frame that shows that a guarded board got its poll, also if the echo of the poll was lost."""
+        if (poll := self._polls.get(board.index)) is not None:
+            board.link.answered(poll[1], now)
 
     def send_failed(self, bus: str, frame: Frame) -> None:
         """Records that a frame could not be sent; the next tick repeats a heartbeat."""
@@ -76,11 +81,10 @@ class LoopClock:
 
     def __init__(self) -> None:
         self.now = 0.0  # at the last tick [s]
-        self.stalled = False  # the last tick came so late that the time stood still
+        self.stalled = False  # the last tick was so late that time stood still
         self._ticked: float | None = None  # real time of the last tick [s]
 
     def at(self, clock: float) -> float:
-        """Returns the time at a real time [s]."""
         passed = 0.0 if self._ticked is None else clock - self._ticked
         return self.now + min(max(passed, 0.0), _LONGEST_STEP)
 

@@ -148,7 +148,7 @@ class Master:
         switch(outputs, now, self._clock.at(now))
 
     def give_up(self, why: str) -> None:
-        """Gives up a commit, see `OutputSwitching.give_up`; only the lines of `leaving` still switch."""
+        """Gives up a commit, see `OutputSwitching.give_up`. Only the lines of `leaving` still switch."""
         self._switching.give_up(why)
 
     def question(self, board: int, now: float) -> None:
@@ -164,7 +164,6 @@ class Master:
 
     @property
     def booting(self) -> bool:
-        """Whether a boot is running."""
         return self._booting.under_way
 
     @property
@@ -180,12 +179,11 @@ class Master:
 
     @property
     def calm(self) -> bool:
-        """Whether no commit, boot, read or question is under way. Only then the master can be pickled."""
+        """Whether no commit, boot, read or question is under way. Only then can the master be pickled."""
         return not (self.committing or self.booting or any(board.runner.running for board in self._boards))
 
     @property
     def committing(self) -> bool:
-        """Whether a commit is running."""
         return self._switching.under_way
 
     @property
@@ -195,12 +193,12 @@ class Master:
 
     @property
     def leaving(self) -> int:
-        """Mask of the lines that frames already handed out will switch: SYNCs, and RPDOs of boards without SYNC."""
+        """Mask of the lines that frames under way will switch: SYNCs, and RPDOs of boards without SYNC."""
         return union(commit.leaving for commit in self._switching.commits.values())
 
     @property
     def commit_failed(self) -> str | None:
-        """Why the last commit failed, as a sentence; None after a success. Nothing of it is sent later."""
+        """Why the last commit failed, as a sentence; None after a success. None of its frames is sent later."""
         return self._switching.failed
 
     @property
@@ -215,12 +213,12 @@ class Master:
 
     @property
     def released(self) -> int:
-        """Mask of the output lines whose pulse has ended, and was not read back off."""
+        """Mask of the output lines whose pulse has ended, and which were not read back as off."""
         return self._outputs.released
 
     @property
     def unread(self) -> int:
-        """Mask of the output lines that were switched and not read back, and that no end-stop tells of."""
+        """Mask of the output lines that were switched and not read back, and have no end-stop."""
         return self._verification.unread
 
     @property
@@ -258,13 +256,13 @@ class Master:
         return self._log.drain()
 
     def drain_switched(self) -> list[tuple[int, float]]:
-        """Returns the switches since the last call: mask of lines, and time when their SYNC was known as sent [s]."""
+        """Returns the switches since the last call: mask of lines, and time at which the SYNC was known as sent [s]."""
         switched = list(self._switching.switched)
         self._switching.switched.clear()
         return switched
 
     def drain_missed(self) -> int:
-        """Returns the output lines without end-stops whose pulse was over before it was read, since the last call."""
+        """Returns, since the last call, output lines without end-stops whose pulse ended before it was read."""
         return self._verification.drain_missed()
 
     def warnings(self) -> tuple[ArmFault, ...]:
@@ -279,7 +277,6 @@ class Master:
         return (*passive, *limits, *released)
 
     def status(self) -> MasterStatus:
-        """Returns state and counters for diagnostics."""
         return MasterStatus(
             buses=tuple(link.status(self._worst_case[name]) for name, link in self._links.items()),
             boards=tuple(board.status(self._clock.now) for board in self._boards),
@@ -296,7 +293,7 @@ class Master:
                 here = [board for board in self._boards if board.layout.bus == bus]
                 for each in (board for board in here if data[1] in (0, board.layout.node)):
                     each.obey(data[0])
-                    if data[0] == Command.START:  # the pins are as 6200h says, so its boot begins again
+                    if data[0] == Command.START:  # the pins now match 6200h, so its boot begins again
                         self._booting.rebooted(each, time)
             return True
         board = self._by_id.get((bus, cob_id & 0x7F))
@@ -306,6 +303,8 @@ class Master:
         understood = board.receive_frame(cob_id, data, time)
         if board.boots != boots:
             self._booting.rebooted(board, time)
+        elif cob_id & ~0x7F == cia301.HEARTBEAT:
+            self._heartbeat.answered(board, time)
         board.runner.check(time)
         return understood
 

@@ -15,16 +15,16 @@ from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
 from hyperbit.drivers.canopen.wire.link import Link
 from hyperbit.drivers.canopen.wiring import Timing
 
-_RECENT = 0.01  # [s] from the begin of a stage, within which nearly all of its frames are sent
+_RECENT = 0.01  # [s] from the begin of a stage, until nearly all of its frames are sent
 
 
 class OutputSwitching:
-    """Starts stages and releases of output lines, and gives them up.
+    """Starts and gives up stages and releases of output lines.
 
-    A SYNC is handed out only after all RPDOs were sent. So none waits in a queue when a bus fails, and the frames that
-    the kernel still holds switch nothing when the bus comes back. Each bus has its own release, which no other bus
-    delays. A release switches lines off during a boot, too.
-    Times `now` are real times, times `time` stand still while the loop stalls [s].
+    A SYNC is handed out only after all RPDOs were sent. So no SYNC waits in a queue when a bus fails, and frames that
+    the kernel still holds switch nothing when the bus comes back. Each bus has its own release; no other bus delays it.
+    A release also switches lines off during a boot. Times `now` are real times, times `time` stand still while the loop
+    stalls [s].
     """
 
     def __init__(
@@ -37,15 +37,15 @@ class OutputSwitching:
         # A commit that takes longer is cancelled, since its SYNC would be too late [s].
         self._longest = timing.heartbeat_timeout / 2
         self._stage: list[BusCommit] = []
-        self._releases: dict[str, int] = {}  # of each bus, mask of the lines that its last release switches off
+        self._releases: dict[str, int] = {}  # by bus: mask of the lines that its last release switches off
 
     @property
     def under_way(self) -> bool:
-        """Whether a stage is under way, or a frame of one that was given up."""
+        """Whether a stage is under way, or a frame of an abandoned one."""
         return any(commit.under_way for commit in self._stage)
 
     def commit(self, outputs: int, now: float, time: float) -> None:
-        """Switches all output lines: sends RPDOs, and one SYNC on each bus after all of them, if anything changes."""
+        """Switches all output lines: sends RPDOs, then one SYNC on each bus with a change."""
         due = self._outputs.due(outputs)
         if self.under_way:
             raise Busy("frames of the previous commit were not sent yet")
@@ -64,10 +64,10 @@ class OutputSwitching:
     def release(self, outputs: int, now: float, time: float) -> None:
         """Switches the lines off that are not in `outputs`; on their buses it gives a stage up whose RPDOs wait.
 
-        A release is also for boards that are not ready, for buses that were lost and send frames again, and for a boot
-        under way. One that cannot begin now, begins at a later call. One that waits for its echoes goes on.
-        It leaves out boards that have restarted: their outputs are off, and their frames could switch others on.
-        Doubtful lines of the same boards go off too: their levels are unknown, and a release switches nothing on.
+        A release also works for boards that are not ready, for buses that send frames again after a loss, and during a
+        boot. A release that cannot begin now begins at a later call. A release that waits for its echoes continues. It
+        omits boards that have restarted: their outputs are off, and their frames could switch others on. Doubtful lines
+        of the same boards go off too: their levels are unknown, and a release switches nothing on.
         """
         states, doubtful = self._outputs.states, self._outputs.doubtful
         alive = union(board.layout.output_lines for board in self._boards if not board.restarted)
@@ -87,7 +87,7 @@ class OutputSwitching:
             self._end_failed()
 
     def forget(self) -> None:
-        """Cancels everything; the caller reads the outputs back."""
+        """Cancels everything; the caller then reads the outputs back."""
         for commit in self.commits.values():
             commit.lost()
         self._stage, self._releases, self.failed = [], {}, None
@@ -114,7 +114,7 @@ class OutputSwitching:
     def _refusal(self, off: int | None) -> str | None:
         """Returns why nothing may be switched now, or None; `off`: lines of a release, None: a stage.
 
-        A lost board may still hear a release, so it counts only whether its bus sends frames, armed or not.
+        A lost board may still receive a release. So a release only needs a bus that sends frames, armed or not.
         """
         if off is not None:
             lost = [b.link for b in self._boards if b.layout.output_lines & off and not b.link.usable]
@@ -149,11 +149,11 @@ class OutputSwitching:
         self._releases[bus] = off
         commit.begin(states, orders, keys, now, time)
         for board in left_out.values():
-            if board.heard:  # it was told to leave operational, in which its boot may have put it
+            if board.heard:  # the master has ordered it to leave operational, which its boot may have entered
                 self._booting.rebooted(board, time)
 
     def _ends(self, commit: BusCommit, off: int, now: float) -> bool:
-        """Returns whether a stage that has just begun switches the lines off, and waits for no other bus.
+        """Returns whether a stage that has just begun switches the lines off without waiting for another bus.
 
         A release in its place would wait for the frames of the stage, and the next call may come a period later.
         """

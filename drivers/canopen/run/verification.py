@@ -1,4 +1,4 @@
-"""Reads boards while they run: outputs that did not switch, foreign changes, and inputs whose TPDO was lost."""
+"""Reads running boards: outputs that did not switch, foreign changes, and inputs whose TPDO was lost."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _SHARE, _SHORTEST = 0.01, 0.05  # share of the bit rate, and shortest time betwe
 _ALL_WITHIN = 1.0  # [s] for the outputs of all boards of a bus after a switch
 _ANSWER = 0.1  # [s] for one answer; longer for a board that answers slowly
 _PAUSE, _TRIES = 0.05, 8  # [s] between two reads of outputs that are not yet right, and number of reads
-_PULSE_PAUSE, _PULSE_TRIES = 0.01, 2  # the same inside a pulse: as many wrong reads prove that it did not begin
-_MOST_SILENT = 3  # reads in a row without a result
-_MOST_MISSED = 3  # pulses in a row that were over before they were read
+_PULSE_PAUSE, _PULSE_TRIES = 0.01, 2  # the same inside a pulse: so many wrong reads prove that it did not begin
+_MOST_SILENT = 3  # successive reads without a result
+_MOST_MISSED = 3  # successive pulses that ended before their read
 _INPUTS_EVERY = 1.5  # [s] between two reads of the inputs; with the answer, a lost TPDO is noticed within 2 s
 
 Reads = Generator[Step, SdoOutcome, None]
@@ -31,24 +31,24 @@ Reads = Generator[Step, SdoOutcome, None]
 class Verification:
     """Reads outputs back after each switch, and all objects of the boot in turn.
 
-    A board is read at once if nothing else tells whether it follows: no end-stop does, or a pulse has ended. The end of
-    a pulse that is not read back is switched again, also on a board that is not ready. Boards of a bus that is
-    switching are read afterwards.
+    A board is read at once if no end-stop shows whether it follows, or if a pulse has ended. If the end of a pulse is
+    not read back, the line is switched off again, also on a board that is not ready. Boards of a bus that is switching
+    are read afterwards.
     """
 
     def __init__(self, boards: Sequence[Board], outputs: OutputLines, commits: Mapping[str, BusCommit]) -> None:
         self._boards, self._outputs, self._commits = boards, outputs, commits
         sensed = union(board.layout.sensed for board in boards)
         self._urgent = ~sensed | outputs.pulsed  # lines that are read at once
-        self._fragile = outputs.pulsed & ~sensed  # lines of which only a read inside the pulse tells
+        self._fragile = outputs.pulsed & ~sensed  # lines that only a read inside the pulse can verify
         count = len(boards)
-        self._silent = [0] * count  # reads in a row without a result, while the board was heard
-        self._heard = [0] * count  # number of its frames at the last of them
-        self._wrong = [0] * count  # wrong reads since the lines of `_stays` last changed
-        self._stays = [0] * count  # lines that were read wrong, and had no other level since
+        self._silent = [0] * count  # successive reads without a result, while the board sends other frames
+        self._heard = [0] * count  # number of the board's frames at the last silent read
+        self._wrong = [0] * count  # number of wrong reads since the last change of `_stays`
+        self._stays = [0] * count  # lines that were read wrong, and have had the same level since
         self._levels = [0] * count  # their levels
-        self._missed = [0] * count  # pulses in a row that were not read back, though the board answers
-        self._answers = [False] * count  # whether it has answered since the last of them
+        self._missed = [0] * count  # successive pulses that were not read back, although the board answers
+        self._answers = [False] * count  # whether the board has answered since the last missed pulse
         self._pause = [0.0] * count  # until the next read of outputs [s]
         self._next_read = [0.0] * count  # time of this read
         self._asked_at = [0.0] * count  # time of the last read
@@ -63,13 +63,13 @@ class Verification:
 
     @property
     def unread(self) -> int:
-        """Mask of the lines that were switched and not read back, and that no end-stop tells of; missed pulses, too."""
+        """Mask of the lines that were switched and not read back, and have no end-stop; missed pulses, too."""
         outputs = self._outputs
         unread = outputs.unread & ~outputs.released & (~outputs.pulsed & self._urgent | self._fragile)
         return unread | outputs.missed & self._fragile
 
     def drain_missed(self) -> int:
-        """Returns the mask of lines without end-stops whose pulse was over before it was read, since the last call."""
+        """Returns, since the last call, lines without end-stops whose pulse ended before it was read."""
         missed, self._outputs.missed = self._outputs.missed, 0
         for board in self._boards if missed else ():
             i, lines = board.index, board.layout.output_lines & missed
@@ -99,7 +99,7 @@ class Verification:
                 self._read_slowly(commit.link, sorted(due, key=lambda board: self._asked_at[board.index]), now)
 
     def _read_slowly(self, link: Link, due: list[Board], now: float) -> None:
-        """Reads boards whose end-stops tell of them as well, and then all objects in turn, at a pace."""
+        """Reads boards with end-stops, and then all objects in turn, at a slow pace."""
         bus, pace = link.name, max(_SHORTEST, 2 * wire_bits(8) / (_SHARE * link.wiring.bitrate))
         if due:
             pace = min(pace, _ALL_WITHIN / len(due))
@@ -139,7 +139,7 @@ class Verification:
         board.runner.start(reads, None, now)
 
     def _read_outputs(self, board: Board, lines: int = -1) -> Reads:
-        """Reads the output bytes of a board that have some of the lines, and compares each with the switched levels."""
+        """Reads the output bytes that have some of the lines, and compares each with the switched levels."""
         for sub in subs_of(union(bit.place for bit in board.layout.outputs if bit.line & lines)):
             self._outputs.begin_read(board.index)
             outcome = yield Transfer(board.layout.settings.object, sub, timeout=_ANSWER, fresh=True)
@@ -159,7 +159,7 @@ class Verification:
         outputs.missed |= wrong & off & ~released  # another program has switched it on
         self._pause[i] = (_PULSE_PAUSE if wrong & outputs.pulsed & ~off else _PAUSE) if wrong else 0.0
         wrong &= ~released
-        # Counts a wrong read. Only another level than at a wrong read shows that a line follows, if late.
+        # Counts a wrong read. Only a different level than at an earlier wrong read shows that a line follows late.
         levels = outputs.states ^ wrong
         self._stays[i] = self._stays[i] & ~((right | wrong) & (levels ^ self._levels[i])) | wrong
         self._levels[i] = self._levels[i] & ~wrong | levels & wrong
@@ -172,7 +172,7 @@ class Verification:
             self._fail(board, "not-switched", f"{text}: {cause}")
 
     def _unread(self, board: Board, sub: int, outcome: SdoOutcome) -> None:
-        """Counts a read without a result; it verifies nothing, so the board stays due. A silent board will be lost."""
+        """Counts a read without a result. It verifies nothing, so the board stays due. A silent board will be lost."""
         i = board.index
         self._outputs.mistrust(board.layout.output_lines & self._outputs.released)
         self._pause[i] = _PAUSE
@@ -231,9 +231,9 @@ def _place(board: Board, sub: int) -> str:
 class InputWatch:
     """Asks each ready board for its inputs, 6000h, by SDO. A TPDO that comes before the answer is newer, and wins.
 
-    A board with an input line of `interlocks` is asked every 1.5 s. 126 such boards with one byte each take
-    126 x 2 x 135 bits in 1.5 s: 22.7 kbit/s, 18 % of 125 kbit/s. Other boards are asked as often, but with 1 % of the
-    bit rate at most.
+    A board with an input line of `interlocks` is asked every 1.5 s. 126 such boards with one byte each take 126 x 2 x
+    135 bits in 1.5 s: 22.7 kbit/s, 18 % of 125 kbit/s. Other boards are asked as often, but with at most 1 % of the bit
+    rate.
     """
 
     def __init__(self, boards: Iterable[Board], links: Iterable[Link], interlocks: int) -> None:
@@ -248,17 +248,17 @@ class InputWatch:
         self._due: dict[int, float] = {}
 
     def begin(self, now: float) -> None:
-        """Records that a boot has begun, which reads all inputs; the reads after it are spread over their periods."""
+        """Records that a boot has begun. The boot reads all inputs; later reads are spread over their periods."""
         count = len(self._boards)
         self._due = {b.index: now + self._periods[b.index] * (k + 1) / count for k, b in enumerate(self._boards)}
 
     def tick(self, now: float) -> None:
-        """Asks the boards that are due; a board with a running procedure is asked after it. Call every period."""
+        """Asks the boards that are due. A board with a running procedure is asked after it. Call every period."""
         for board in self._boards:
             if now >= self._due.get(board.index, now) and board.ready and not board.runner.running:
                 self._due[board.index] = now + self._periods[board.index]
                 board.question(now)
 
     def hurry(self, bus: str, now: float) -> None:
-        """Has all ready boards of a bus asked at the next tick: their TPDOs may be lost."""
+        """Makes all ready boards of a bus due: their TPDOs may be lost."""
         self._due |= {board.index: now for board in self._boards if board.link.name == bus}

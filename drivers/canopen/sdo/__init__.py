@@ -1,1 +1,1 @@
-"""Objects of a board: SDO transfers, and procedures of them."""
+"""SDO transfers with a board, and procedures made of them."""

@@ -16,47 +16,30 @@ _SLOW_FACTOR, _LONGEST_TIMEOUT = (
     3.0,
 )  # timeout of a slow board: factor on its longest answer time, and its limit [s]
 _LATE = 4.0  # [s] for which an answer to an earlier request may still come
-_MOST_SEGMENTS = 8  # of one answer; a number of four bytes takes one
-_WINDOW, _MOST_TWICE = 20, 15  # transfers, and of them those that one board alone never has answered twice
+_MOST_SEGMENTS = 8  # of one answer; a number of four bytes needs one
+_WINDOW, _MOST_TWICE = 20, 15  # transfers in a window; double answers above which there are two boards
 _TIMED_OUT, _TOO_LONG = 0x0504_0000, 0x0504_0005  # abort codes
 
 
 @dataclass(frozen=True, slots=True)
 class Transfer:
-    """One read or write of an object.
-
-    Attributes:
-        index: index of the object.
-        sub: sub-index.
-        data: 1..4 bytes to write; None: read.
-        timeout: timeout of one attempt [s]; longer for a board that answers slowly.
-        tries: number of attempts.
-        fresh: a late answer to an earlier read must not count.
-        staged: write in two steps, by a segment (CiA 301, 7.2.4.3.3 and 7.2.4.3.4). A board that restarts after the
-            first step refuses the second one.
-    """
-
     index: int
     sub: int
-    data: bytes | None = None
-    timeout: float = SDO_TIMEOUT
+    data: bytes | None = None  # 1..4 bytes to write; None: read
+    timeout: float = SDO_TIMEOUT  # of one attempt [s]; longer for a board that answers slowly
     tries: int = TRIES
-    fresh: bool = False
+    fresh: bool = False  # a late answer to an earlier read must not count
+    # write in two steps, by a segment (CiA 301, 7.2.4.3.3 and 7.2.4.3.4). A board that restarts after the first step
+    # refuses the second one
     staged: bool = False
 
 
 class SdoOutcome(NamedTuple):
-    """The result of a transfer: exactly one of its fields is set.
+    """The result of a transfer: exactly one of its fields is set."""
 
-    Attributes:
-        data: the bytes read; empty after a write.
-        abort: SDO abort code of the board.
-        silence: why there is no answer.
-    """
-
-    data: bytes | None = None
-    abort: int | None = None
-    silence: str | None = None
+    data: bytes | None = None  # the bytes read; empty after a write
+    abort: int | None = None  # SDO abort code of the board
+    silence: str | None = None  # why there is no answer
 
 
 class SdoClient:
@@ -65,14 +48,10 @@ class SdoClient:
     Answers are matched with requests by index and sub-index; late answers to other objects are dropped. A repeated
     request may be answered twice. Such a late answer must not count for a later write of the same object, or for a
     later read of the written value.
-
-    Attributes:
-        outcome: result of the last transfer; None while it runs.
-        twice: whether three of four transfers were answered twice though asked once: two boards have the node id.
     """
 
     def __init__(self, node: int, link: Link) -> None:
-        self.outcome: SdoOutcome | None = None
+        self.outcome: SdoOutcome | None = None  # result of the last transfer; None while it runs
         self._request_id = cia301.SDO_REQUEST + node
         self._link = link
         self._transfer: Transfer | None = None
@@ -82,20 +61,21 @@ class SdoClient:
         self._segments: bytes | None = None  # received so far; None outside a segmented answer
         self._expected = 0  # segments received
         self._asked = 0  # requests of this transfer
-        self._asked_at = 0.0  # time of the first of them
+        self._asked_at = 0.0  # time of the first request
         self._slowest = 0.0  # longest answer time [s]
-        self._owed: dict[bytes, tuple[int, float]] = {}  # by object: late answers that may come, and until when
-        self._skip = 0  # late answers to ignore
+        self._owed: dict[bytes, tuple[int, float]] = {}  # by object: late answers to expect, until [s]
+        self._skip = self._skipped = 0  # late answers to ignore, and answers that were ignored
+        # whether three of four transfers were answered twice though asked once: two boards have the node id
         self.twice = False
-        self._answered = self._doubled = 0  # transfers asked once, and those of them that were answered twice
-        self._last = b""  # object of the last of them, until its second answer
+        self._answered = self._doubled = 0  # transfers with one request; those with two answers
+        self._last = b""  # object of the last such transfer, until its second answer
 
     def begin(self, transfer: Transfer, now: float) -> None:
         """Starts a transfer; a running one is cancelled."""
         self.cancel()
         self._transfer, self._tries = transfer, transfer.tries
         self._multiplexer = struct.pack("<HB", transfer.index, transfer.sub)
-        self._asked = 0
+        self._asked = self._skipped = 0
         owed, until = self._owed.get(self._multiplexer, (0, 0.0))
         self._skip = owed if now < until and (transfer.data is not None or transfer.fresh) else 0
         self._request(now)
@@ -123,17 +103,17 @@ class SdoClient:
         if data[1:4] != self._multiplexer:
             self._receive_late(data[1:4])
             return
-        if self._skip > 0:  # late or not: the answer to a new request is right in both cases
+        if self._skip > 0:  # perhaps late; the answer to a new request is right
             self._skip -= 1
-            self._receive_late(data[1:4])
+            self._skipped += 1  # if it was not late, the late one may still come: it stays owed, for no longer
             self._link.answered(outgoing, now)
             self._request(now)
             return
         self._link.answered(outgoing, now)
         self._slowest = max(self._slowest, now - (self._asked_at if self._asked > 1 else outgoing.first_at))
-        if self._asked > 1:
-            self._owe(self._asked - 1, now)
-        else:
+        if repeated := self._asked - 1 - self._skipped:
+            self._owe(repeated, now)
+        elif self._asked == 1:
             self._count_answer()
         if kind == 0x80:
             self._end(SdoOutcome(abort=int.from_bytes(data[4:], "little")))
@@ -165,7 +145,7 @@ class SdoClient:
         if self._tries > 0:
             self._request(now)
         else:
-            self._owe(self._asked, now)
+            self._owe(self._asked - self._skipped, now)
             self._end(SdoOutcome(silence=f"no SDO answer within {transfer.timeout:g} s, asked {transfer.tries} times"))
 
     def _request(self, now: float) -> None:
@@ -184,8 +164,8 @@ class SdoClient:
 
     def _owe(self, answers: int, now: float) -> None:
         """Records answers that may still come."""
-        owed = self._owed.get(self._multiplexer, (0, 0.0))[0]
-        self._owed[self._multiplexer] = owed + answers, now + _LATE
+        owed, until = self._owed.get(self._multiplexer, (0, 0.0))
+        self._owed[self._multiplexer] = owed * (now < until) + answers, now + _LATE
 
     def _receive_late(self, multiplexer: bytes) -> None:
         """Takes a late answer to another object, or to an earlier request."""
@@ -199,7 +179,7 @@ class SdoClient:
             self._doubled += 1
 
     def _count_answer(self) -> None:
-        """Counts a transfer that was asked once; after _WINDOW of them, decides `twice`."""
+        """Counts a transfer with one request; decides `twice` after _WINDOW transfers."""
         if self._answered == _WINDOW:
             self.twice = self._doubled >= _MOST_TWICE
             self._answered = self._doubled = 0

@@ -12,7 +12,7 @@ from hyperbit.drivers.canopen.sdo.procedure import BoardError, Step
 # SDO abort codes (CiA 301, 7.2.4.3.17).
 NO_OBJECT, NO_SUB_INDEX, READ_ONLY = 0x0602_0000, 0x0609_0011, 0x0601_0002
 UNSUPPORTED, GENERAL, NO_DATA = 0x0601_0000, 0x0800_0000, 0x0800_0024
-# Stacks answer a read of an absent object with each of these. CANopenNode answers NO_DATA to an empty history.
+# Codes of stacks for a read of an absent object. CANopenNode answers NO_DATA to an empty history.
 ABSENT = frozenset({NO_OBJECT, NO_SUB_INDEX, UNSUPPORTED, GENERAL, NO_DATA})
 
 _ROUNDING = 10  # [ms] by which a board may round a time, at most half of it
@@ -56,29 +56,17 @@ def abort_words(code: int) -> str:
 
 @dataclass(frozen=True)
 class Need:
-    """A value that an object needs.
-
-    Attributes:
-        index: index of the object.
-        sub: sub-index.
-        value: unsigned value; bits outside `mask` are 0.
-        size: length [bytes].
-        what: the object in words, for messages.
-        mask: mask of the bits that matter; the others are not changed.
-        required: why the object must exist, as a sentence; None: it may be absent.
-        fixed: what the user must do if the value differs, as a sentence; None: the boot writes it.
-        rounded: whether the board may round the low 16 bits, a time in [ms].
-    """
+    """A value that an object needs."""
 
     index: int
     sub: int
-    value: int
-    size: int = 1
-    what: str = ""
-    mask: int = 0xFFFF_FFFF
-    required: str | None = None
-    fixed: str | None = None
-    rounded: bool = False
+    value: int  # unsigned; bits outside `mask` are 0
+    size: int = 1  # [bytes]
+    what: str = ""  # the object in words, for messages
+    mask: int = 0xFFFF_FFFF  # of the bits that matter; the others are not changed
+    required: str | None = None  # why the object must exist, as a sentence; None: it may be absent
+    fixed: str | None = None  # what the user must do if the value differs, as a sentence; None: the boot writes it
+    rounded: bool = False  # the board may round the low 16 bits, a time in [ms]
 
     @property
     def place(self) -> str:
@@ -86,11 +74,9 @@ class Need:
         return f"{self.index:04X}h sub {self.sub}" + (f" ({self.what})" if self.what else "")
 
     def words(self, value: int) -> str:
-        """Returns a value of the object for messages."""
         return f"{value:0{2 * self.size}X}h"
 
     def met(self, present: int) -> bool:
-        """Returns whether a value meets the need."""
         if not self.rounded:
             return present & self.mask == self.value & self.mask
         wanted, time = self.value & 0xFFFF, present & 0xFFFF
@@ -105,19 +91,14 @@ class Need:
 def read(board: str, index: int, sub: int, size: int = 1, fresh: bool = False) -> Generator[Step, SdoOutcome, int]:
     """Reads an unsigned value of `size` bytes; `board` is the name for messages.
 
-    Raises:
-        BoardError: the board refuses, does not answer, or answers in another size.
+    Raises BoardError if the board refuses, does not answer, or answers in another size.
     """
     outcome = yield Transfer(index, sub, fresh=fresh)
     return number(board, index, sub, size, outcome)
 
 
 def find(board: str, index: int, sub: int, size: int = 1) -> Generator[Step, SdoOutcome, int | None]:
-    """Reads an unsigned value like `read`; returns None if the board has no such object.
-
-    Raises:
-        BoardError: the board refuses, does not answer, or answers in another size.
-    """
+    """Reads an unsigned value like `read`; returns None if the board has no such object. Raises its errors."""
     outcome = yield Transfer(index, sub)
     if outcome.abort in ABSENT:
         return None
@@ -125,11 +106,7 @@ def find(board: str, index: int, sub: int, size: int = 1) -> Generator[Step, Sdo
 
 
 def number(board: str, index: int, sub: int, size: int, outcome: SdoOutcome) -> int:
-    """Returns the value that a transfer has read.
-
-    Raises:
-        BoardError: the board refused, did not answer, or answered in another size.
-    """
+    """Returns the value of a transfer. Raises BoardError after a refusal, silence or an answer of another size."""
     if outcome.abort is not None:
         text = f"board {board} refuses to read {index:04X}h sub {sub}: {abort_words(outcome.abort)}"
         raise BoardError(ArmFault("sdo-refused", board, text))
@@ -143,11 +120,7 @@ def number(board: str, index: int, sub: int, size: int, outcome: SdoOutcome) -> 
 
 
 def write(board: str, need: Need, value: int, staged: bool = False) -> Generator[Step, SdoOutcome, int | None]:
-    """Writes a value; returns None, or the abort code of the board. A staged write is tried once, see `Transfer`.
-
-    Raises:
-        BoardError: the board does not answer.
-    """
+    """Writes a value, a staged one once; returns None or the abort code. Raises BoardError after silence."""
     data = value.to_bytes(need.size, "little")
     outcome = yield Transfer(need.index, need.sub, data, tries=1 if staged else TRIES, staged=staged)
     if outcome.abort is None and outcome.data is None:
@@ -157,11 +130,7 @@ def write(board: str, need: Need, value: int, staged: bool = False) -> Generator
 
 
 def ensure(board: str, need: Need, present: int, staged: bool = False) -> Generator[Step, SdoOutcome, None]:
-    """Writes the needed value into an object with another value, and reads it back.
-
-    Raises:
-        BoardError: the board refuses, does not answer, or has another value afterwards.
-    """
+    """Writes the needed value and reads it back. Raises BoardError after a refusal, silence or another value."""
     value = need.corrected(present)
     abort = yield from write(board, need, value, staged)
     if abort is not None:
@@ -173,7 +142,6 @@ def ensure(board: str, need: Need, present: int, staged: bool = False) -> Genera
 
 
 def refused(board: str, need: Need, present: int, abort: int) -> BoardError:
-    """Returns the error of a board that refuses a value."""
     text = f"board {board} has {need.words(present)} in {need.place}; {need.words(need.corrected(present))} is needed"
     return BoardError(ArmFault("sdo-refused", board, f"{text}, which it refuses: {abort_words(abort)}"))
 
@@ -181,8 +149,7 @@ def refused(board: str, need: Need, present: int, abort: int) -> BoardError:
 def check(board: str, need: Need) -> Generator[Step, SdoOutcome, int | None]:
     """Reads an object; returns its value, or None if the board has no such object.
 
-    Raises:
-        BoardError: the object is required and absent, or its value is wrong and must not be written.
+    Raises BoardError if the object is required and absent, or its value is wrong and must not be written.
     """
     present = yield from find(board, need.index, need.sub, need.size)
     if present is None and need.required is not None:

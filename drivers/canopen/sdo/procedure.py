@@ -31,7 +31,7 @@ class Wait:
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """A transfer that is cancelled if a condition becomes true."""
+    """A transfer that ends early if the condition becomes true."""
 
     transfer: Transfer
     unless: Callable[[], bool]
@@ -61,11 +61,10 @@ class Runner:
         self._ended: Callable[[ArmFault | None, float], None] | None = None
         self._step: Step | None = None
         self._outgoing: Outgoing | None = None  # frame of an NMT command
-        self._since = 0.0  # when the step began
+        self._since = 0.0  # start of the step [s]
 
     @property
     def running(self) -> bool:
-        """Whether a procedure is running."""
         return self._procedure is not None
 
     @property
@@ -74,7 +73,7 @@ class Runner:
         return self._sdo.twice
 
     def start(self, procedure: Procedure, ended: Callable[[ArmFault | None, float], None] | None, now: float) -> None:
-        """Starts a procedure in place of the running one; `ended`, if any, takes its fault, or None, and the time."""
+        """Replaces the running procedure; `ended` takes the fault of the new one, or None, and the time."""
         self.cancel()
         self._procedure, self._ended = procedure, ended
         self._resume(None, now)

@@ -1,1 +1,1 @@
-"""Conversations with boards outside the executor: `check --bus`, `probe`, `node-id`, EDS."""
+"""Communication with boards outside the executor: `check --bus`, `probe`, `node-id`, EDS."""

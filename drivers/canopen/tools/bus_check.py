@@ -24,18 +24,16 @@ _MOST_CHANGES = 4  # changes that the answer lists
 
 @dataclass(frozen=True)
 class CheckedBoard:
-    """What the check has found on one board."""
-
     board: str  # name, e.g. "can0/5"
-    text: str  # its device type, the values that the boot will write, and its limits; or what is wrong
-    code: str = ""  # of what is wrong, as of a fault; "": it can be booted and reports no error
+    text: str  # device type, values that the boot will write, and limits; or the fault
+    code: str = ""  # code of the fault; "": the board can be booted and reports no error
 
 
 def check_bus(session: Session, wiring: Wiring, timing: Timing) -> list[CheckedBoard]:
     """Asks all boards in parallel; returns their answers, after that of each bus that cannot be used.
 
-    The check writes only values that the objects have already, to find read-only objects. So no frame that is lost, and
-    no end of the process, leaves another value on a board. Raises MasterHeard.
+    The check writes only values that the objects have already, to find read-only objects. So neither a lost frame nor
+    the end of the process leaves another value on a board. Raises MasterHeard.
     """
     boards = {(board.bus, board.node): board for board in lay_out(wiring).boards}
     texts: dict[Node, CheckedBoard] = {}
@@ -74,7 +72,7 @@ def _ask(
     yield from pdo_search.read_pdos(it, in_full=True)
     unmet = it.unmet(it.needs) + it.unmet(it.error_mode)
     changes = [f"{n.place} {n.words(it.values[n.index, n.sub])} -> {n.words(n.corrected(0))}" for n in unmet]
-    for need in unmet:  # writes its present value, which changes nothing, to find an object that cannot be written
+    for need in unmet:  # writing the present value changes nothing; a refusal shows a read-only object
         value = it.values[need.index, need.sub]
         if (abort := (yield from objects.write(it.name, need, value))) == objects.READ_ONLY:
             raise objects.refused(it.name, need, value, abort)

@@ -23,62 +23,37 @@ _MOST_MAPPED = 64  # entries of a mapping
 
 
 class Entry(NamedTuple):
-    """One entry of the dictionary; None: the file does not tell.
+    """One entry of the dictionary; None: the file does not give it."""
 
-    Attributes:
-        access: "ro", "wo", "rw", "rwr", "rww" or "const".
-        data_type: index of the data type.
-        mappable: whether a PDO can carry it.
-        low: least value.
-        high: greatest value.
-        value: value after power-on.
-        configured: whether the value is a DCF's ParameterValue, not a DefaultValue.
-    """
-
-    access: str | None
-    data_type: int | None
-    mappable: bool = False
-    low: int | None = None
-    high: int | None = None
-    value: int | None = None
-    configured: bool = False
+    access: str | None  # "ro", "wo", "rw", "rwr", "rww" or "const"
+    data_type: int | None  # index
+    mappable: bool = False  # into a PDO
+    low: int | None = None  # least value
+    high: int | None = None  # greatest value
+    value: int | None = None  # after power-on
+    configured: bool = False  # the value is a DCF's ParameterValue, not a DefaultValue
 
     @property
     def readable(self) -> bool:
-        """Whether SDO can read it, if nothing else is told."""
+        """Whether SDO can read the entry; True if the access is unknown."""
         return self.access != "wo"
 
     @property
     def writable(self) -> bool:
-        """Whether SDO can write it."""
         return self.access in ("wo", "rw", "rwr", "rww")
 
     @property
     def size(self) -> int:
-        """Length [bytes]; 0 if it is no number."""
+        """Length [bytes]; 0 for a type that is no number."""
         return _SIZES.get(self.data_type or 0, 0)
 
 
 def is_mapping(index: int) -> bool:
-    """Returns whether an object is the mapping of a PDO."""
     return index in _RPDO_MAPPINGS or index in _TPDO_MAPPINGS
 
 
 class Eds:
-    """The object dictionary of an EDS.
-
-    Attributes:
-        notes: sentences on what the file says against CiA 306-1, as far as it was asked for.
-        of_modules: indices of the objects that modules of a coupler bring.
-        fixed_mappings: whether no mapping can be changed.
-
-    Args:
-        path: path of the file.
-        node: node id, which is part of COB-IDs.
-
-    Raises:
-        UnreadableEds: the file is missing, or describes no object.
-    """
+    """The object dictionary of an EDS; `node` is part of COB-IDs. Raises UnreadableEds."""
 
     def __init__(self, path: Path, node: int) -> None:
         self._file = read(path)
@@ -86,11 +61,11 @@ class Eds:
             raise UnreadableEds("no EDS: it describes no object, for instance in a section [1000]")
         self._node = node
         self._found: dict[tuple[int, int], Entry | None] = {}
-        self.notes = self._file.notes
-        self.of_modules = self._file.of_modules
+        self.notes = self._file.notes  # violations of CiA 306-1 in the entries that were asked for
+        self.of_modules = self._file.of_modules  # indices of objects that come with modules of a coupler
         self._device = self._file.others.get("deviceinfo", {})
         granularity = self._number("DeviceInfo", self._device, "granularity")
-        self.fixed_mappings = granularity == 0
+        self.fixed_mappings = granularity == 0  # whether no mapping can be changed
         self._compact = self._number("DeviceInfo", self._device, "compactpdo") or 0
 
     def at(self, node: int) -> Eds:
@@ -100,23 +75,22 @@ class Eds:
         return other
 
     def find(self, index: int, sub: int) -> Entry | None:
-        """Returns an entry of the dictionary; None if it is absent."""
         place = index, sub
         if place not in self._found:
             self._found[place] = self._described(index, sub)
         return self._found[place]
 
     def value(self, index: int, sub: int) -> int | None:
-        """Returns the value after power-on; None if the file does not tell it."""
+        """Returns the value after power-on; None if the file does not give it."""
         entry = self.find(index, sub)
         return None if entry is None else entry.value
 
     def subs(self, index: int) -> int:
-        """Returns the greatest sub-index of an object that is described."""
+        """Returns the greatest sub-index that the file describes."""
         return max((sub or 0 for sub in self._file.objects.get(index, ())), default=0)
 
     def says(self, index: int, sub: int) -> str:
-        """Returns what the file says about an entry, in words."""
+        """Returns in words what the file says about an entry."""
         if index in _DUMMIES:
             return f"Dummy{index:04d}={int(self.find(index, 0) is not None)}"
         entry = self.find(index, sub)
@@ -135,7 +109,7 @@ class Eds:
         return ", ".join(f"{key}={value}" for key, value in told.items() if value is not None)
 
     def _described(self, index: int, sub: int) -> Entry | None:
-        """Returns an entry as its own section, a compact form, or an entry like it describes it."""
+        """Returns an entry from its own section, a compact form, or a similar entry."""
         if index in _DUMMIES:
             used = self._number("DummyUsage", self._file.others.get("dummyusage", {}), f"dummy{index:04d}")
             return Entry("const", index, True) if used and sub == 0 else None
@@ -155,7 +129,7 @@ class Eds:
         return None
 
     def _like_first(self, index: int, whole: Section) -> int:
-        """Returns the greatest sub-index that may be described by sub-index 1 alone, in an array or a mapping."""
+        """Returns the greatest sub-index that sub-index 1 alone may describe, in an array or a mapping."""
         if is_mapping(index):
             number = self.find(index, 0)
             return min(_MOST_MAPPED, (number.high or 0) if number else 0)
@@ -163,7 +137,7 @@ class Eds:
         return (self.value(index, 0) or 0) if array else 0
 
     def _of_compact_object(self, index: int, sub: int, whole: Section, count: int) -> Entry | None:
-        """CompactSubObj: sub-index 0 is the number of the others, and these are alike."""
+        """CompactSubObj: sub-index 0 is the number of the others, which are alike."""
         if sub == 0:
             return Entry("ro", _UNSIGNED8, value=count)
         if sub > count:
@@ -187,7 +161,7 @@ class Eds:
         return Entry("rw", _COMPACT_PDO[sub])
 
     def _entry(self, title: str, section: Section, whole: Section) -> Entry:
-        """Returns what a section says; the data type may stand at the whole object."""
+        """Parses a section; `whole` may give the data type."""
         data_type = self._number(title, section, "datatype")
         if data_type is None:
             data_type = _UNSIGNED8 if title.endswith("sub0") else self._number(title, whole, "datatype")

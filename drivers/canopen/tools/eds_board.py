@@ -20,34 +20,22 @@ _BOOLEAN, _LAST_DUMMY = 1, 7  # data type, and index
 
 @dataclass(frozen=True)
 class EdsTransfer:
-    """One transfer, as the board has answered it.
-
-    Attributes:
-        index: index of the object.
-        sub: sub-index.
-        written: the value to write; None: a read.
-        abort: abort code; None: done.
-        blamed: index and sub-index of the entry that decides the answer: for a refused mapping, the mapped one.
-        told: whether the EDS tells what the answer depends on.
-    """
+    """One transfer and the board's answer."""
 
     index: int
     sub: int
-    written: int | None
-    abort: int | None
+    written: int | None  # the value to write; None: a read
+    abort: int | None  # code; None: done
+    # index and sub-index of the entry that decides the answer: for a refused mapping, the mapped one
     blamed: tuple[int, int]
-    told: bool
+    told: bool  # the EDS gives all facts on which the answer depends
 
 
 class EdsBoard:
     """A board with the object dictionary of an EDS and its values after power-on.
 
-    Attributes:
-        asked: all transfers, in order.
-
     Args:
-        eds: the EDS.
-        assumed: values that count in place of those of the EDS, by index and sub-index.
+        assumed: values that replace those of the EDS, by index and sub-index.
         absent: indices of objects that the EDS lacks, and the board has nevertheless.
         writable: entries that accept any value, by index and sub-index.
     """
@@ -55,7 +43,7 @@ class EdsBoard:
     def __init__(
         self, eds: Eds, assumed: dict[tuple[int, int], int], absent: set[int], writable: set[tuple[int, int]]
     ) -> None:
-        self.asked: list[EdsTransfer] = []
+        self.asked: list[EdsTransfer] = []  # all transfers, in order
         self._eds, self._absent, self._writable = eds, absent, writable
         self._values = dict(assumed)
 
@@ -83,11 +71,11 @@ class EdsBoard:
         return SdoOutcome(data=data) if abort is None else SdoOutcome(abort=abort)
 
     def _told(self, index: int, sub: int, read: bool) -> bool:
-        """Returns whether the EDS tells all that a transfer depends on, or has had the value written."""
+        """Returns whether the EDS gives all facts for a transfer, or the value was written before."""
         entry = self._eds.find(index, sub)
         if entry is None:
             return index not in self._eds.of_modules
-        counted = sub == 0 and not is_mapping(index)  # the number of entries follows from their sections
+        counted = sub == 0 and not is_mapping(index)  # the sections give the number of entries
         valued = counted or entry.value is not None or (index, sub) in self._values
         return entry.access is not None and entry.size > 0 and (valued or not read)
 
@@ -95,7 +83,6 @@ class EdsBoard:
         return index in self._absent or (index, sub) in self._writable
 
     def _missing(self, index: int, sub: int) -> int | None:
-        """Returns the abort code for an object that does not exist."""
         if self._eds.find(index, sub) is not None:
             return None
         return objects.NO_OBJECT if self._eds.find(index, 0) is None else objects.NO_SUB_INDEX
@@ -111,7 +98,7 @@ class EdsBoard:
         return (value & (1 << 8 * size) - 1).to_bytes(size, "little")
 
     def _value(self, index: int, sub: int) -> int:
-        """Returns the value after power-on; where the EDS does not tell it, the number of entries, or 0."""
+        """Returns the value after power-on. Where the EDS lacks it: the number of entries, or 0."""
         if (value := self._eds.value(index, sub)) is not None:
             return value
         if sub == 0 and index in self._absent and not is_mapping(index):

@@ -21,41 +21,28 @@ _PDO_PARAMETERS = (*range(0x1400, 0x1600), *range(0x1800, 0x1A00))
 
 
 class Lack(NamedTuple):
-    """A need of the wiring that the board does not meet, according to its EDS.
+    """A need of the wiring that the EDS does not meet."""
 
-    Attributes:
-        object: index and sub-index.
-        says: what the EDS says about this object.
-        needed: why the boot refuses the board.
-        told: whether the EDS tells this; False: modules bring the object, or its value or access is missing.
-    """
-
-    object: str
-    says: str
-    needed: str
-    told: bool
+    object: str  # index and sub-index
+    says: str  # about this object in the EDS
+    needed: str  # why the boot refuses the board
+    told: bool  # False: modules bring the object, or its value or access is missing in the EDS
 
     def __str__(self) -> str:
         return f"{self.object}: the EDS says {self.says}; {self.needed}"
 
 
 def lacks(eds: Eds, board: BoardLayout, timing: Timing, error_state: ErrorState | None) -> list[Lack]:
-    """Returns the needs of a board's wiring that it does not meet, as its EDS tells; see `unmet`."""
+    """Returns the needs of a board's wiring that contradict its EDS; see `unmet`."""
     return [lack for lack in unmet(eds, board, timing, error_state) if lack.told]
 
 
 def unmet(eds: Eds, board: BoardLayout, timing: Timing, error_state: ErrorState | None) -> list[Lack]:
-    """Returns all needs of a board's wiring that its EDS does not meet, or of which it does not tell.
+    """Returns all needs of a board's wiring that its EDS does not meet, or does not mention.
 
-    The boot refuses a board at the first unmet need. This need is noted and then taken as met: an object that is absent
-    is taken as present, one that refuses a value as writable, and a wrong value as right. The boot is tried again until
-    it succeeds.
-
-    Args:
-        eds: electronic data sheet of the board.
-        board: wiring of the board.
-        timing: heartbeat times.
-        error_state: field `error_state` of the arm's file, for boards without an error mode.
+    The boot refuses a board at the first unmet need. This need is noted and then taken as met: an absent object as
+    present, a refusing one as writable, and a wrong value as right. The boot is tried again until it succeeds.
+    `error_state` is that of the arm's file, for boards without an error mode.
     """
     found: dict[str, Lack] = {}
     assumed = _identity(eds, board)
@@ -77,7 +64,7 @@ def unmet(eds: Eds, board: BoardLayout, timing: Timing, error_state: ErrorState 
 
 
 def _boot(board: BoardLayout, timing: Timing, error_state: ErrorState | None) -> Procedure:
-    """The steps of the boot that depend on the object dictionary."""
+    """Runs the steps of the boot that depend on the object dictionary."""
     it = Inspection(board)
     kind = yield from objects.read(board.name, 0x1000, 0, 4)
     yield from inspection.inspect(it, kind, timing, error_state)
@@ -106,7 +93,7 @@ def _refusal(board: EdsBoard, procedure: Procedure) -> str | None:
 
 
 def _identity(eds: Eds, board: BoardLayout) -> dict[tuple[int, int], int]:
-    """Returns the identity of the arm's file where the EDS has 0 or nothing: only the device tells it."""
+    """Returns the identity of the arm's file where the EDS has 0 or nothing: only the device has it."""
     needs = configuration.identity(board.settings)
     return {(need.index, need.sub): need.value for need in needs if not eds.value(need.index, need.sub)}
 
@@ -119,8 +106,7 @@ def _named(asked: EdsTransfer, refusal: str) -> bool:
 def _causes(named: list[EdsTransfer]) -> list[EdsTransfer]:
     """Returns the transfers that led to a refusal: the refused writes, else the refused reads, else the last read.
 
-    Args:
-        named: the transfers whose objects the refusal names.
+    `named`: transfers with the objects that the refusal names.
     """
     refused = [one for one in named if one.abort is not None]
     writes = [one for one in refused if one.written is not None]
@@ -132,7 +118,7 @@ def _lack(eds: Eds, board: BoardLayout, cause: EdsTransfer, named: list[EdsTrans
     text = refusal.removeprefix(f"board {board.name}: ")
     if text.startswith(own := f"board {board.name} "):
         text = f"the board {text.removeprefix(own)}"
-    # A value that cannot be written may be right, if the EDS does not tell it.
+    # An unwritable value may be right if the EDS does not give it.
     unknown = cause.abort == objects.READ_ONLY and not all(one.told for one in named)
     return Lack(f"{index:04X}h sub {sub}", eds.says(index, sub), text, cause.told and not unknown)
 
@@ -145,7 +131,7 @@ def _take_as_met(
     absent: set[int],
     writable: set[tuple[int, int]],
 ) -> None:
-    """Changes what the next board is made of, so that it does not refuse this transfer."""
+    """Changes the assumptions for the next board so that it does not refuse this transfer."""
     place = cause.blamed
     if cause.abort is None:  # a wrong value that must not be written
         right = {(need.index, need.sub): need.value for need in configuration.identity(board.settings)}

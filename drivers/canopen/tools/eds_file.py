@@ -1,6 +1,6 @@
 """Reads the text of an EDS or DCF (CiA 306-1).
 
-Files of makers break many rules of CiA 306-1. So only what the check asks for must be right.
+Makers' files break many rules of CiA 306-1. So the reader requires only the parts that the check uses.
 """
 
 from __future__ import annotations
@@ -23,44 +23,23 @@ class UnreadableEds(ValueError):
 
 
 class Key(NamedTuple):
-    """The value of a key, as the file has it.
-
-    Attributes:
-        line: number of its line.
-        name: name of the key.
-        text: the value, without a comment.
-    """
-
-    line: int
+    line: int  # number
     name: str
-    text: str
+    text: str  # without a comment
 
 
 Section = dict[str, Key]  # by the key's name in lower case
 
 
 class EdsFile(NamedTuple):
-    """The sections of a file.
-
-    Attributes:
-        objects: sections of objects, by index, and by sub-index; None: the object itself.
-        others: all other sections, by their names in lower case.
-        of_modules: indices of the objects that modules of a coupler bring.
-        notes: sentences on lines that were skipped.
-    """
-
-    objects: dict[int, dict[int | None, Section]]
-    others: dict[str, Section]
-    of_modules: frozenset[int]
-    notes: list[str]
+    objects: dict[int, dict[int | None, Section]]  # by index, and by sub-index; None: the object itself
+    others: dict[str, Section]  # by their names in lower case
+    of_modules: frozenset[int]  # indices of objects that come with modules of a coupler
+    notes: list[str]  # sentences on skipped lines
 
 
 def read(path: Path) -> EdsFile:
-    """Reads a file.
-
-    Raises:
-        UnreadableEds: the file is missing, or no text of sections.
-    """
+    """Reads a file. Raises UnreadableEds if the file is missing, or has no sections."""
     try:
         with path.open("rb") as file:
             data = file.read(_MOST_BYTES + 1)
@@ -105,7 +84,6 @@ def _parse(text: str) -> EdsFile:
 
 
 def _section(name: str, objects: dict[int, dict[int | None, Section]], others: dict[str, Section]) -> Section:
-    """Returns the section of a name in lower case."""
     found = _OBJECT.fullmatch(name)
     if found is None:
         return others.setdefault(name, {})
@@ -114,11 +92,9 @@ def _section(name: str, objects: dict[int, dict[int | None, Section]], others: d
 
 
 def parse_number(text: str, node: int) -> int | None:
-    """Returns a number as CiA 306-1 writes it, or None.
+    """Parses a number of CiA 306-1; returns None if it is invalid.
 
-    Args:
-        text: decimal, hexadecimal with 0x, or octal with 0, and `$NODEID`, added by `+`.
-        node: value of `$NODEID`.
+    It is decimal, hexadecimal with 0x, or octal with 0, and may have `$NODEID`, added by `+`, which stands for `node`.
     """
     total = 0
     for part in text.lower().removeprefix("+").split("+"):

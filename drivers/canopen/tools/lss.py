@@ -15,7 +15,7 @@ _REQUEST, _ANSWER = 0x7E5, 0x7E4  # COB-IDs
 _SWITCH, _SELECT, _SELECTED, _SCAN, _SCANNED = 0x04, (0x40, 0x41, 0x42, 0x43), 0x44, 0x51, 0x4F
 _NODE_ID, _BIT_TIMING, _STORE, _INQUIRE, _INQUIRE_NODE_ID = 0x11, 0x13, 0x17, (0x5A, 0x5B, 0x5C, 0x5D), 0x5E
 _WAITING, _CONFIGURATION = 0, 1
-_ANY, _WITHOUT_ID = 0x80, 0xFF  # bit check of a scan that each board answers, and node id of a board without one
+_ANY, _WITHOUT_ID = 0x80, 0xFF  # bit check that each board answers in a scan; node id of an unconfigured board
 _TIMEOUT, _TRIES = 1.0, 3  # [s] for an answer, and attempts
 _SCAN_TIMEOUT = 0.2  # [s] for an answer in a fast scan, where silence is an answer
 _PAUSE = 0.02  # [s] after a request without an answer: some boards keep only one request
@@ -52,7 +52,7 @@ class LssIdentity(NamedTuple):
 
 
 class Lss:
-    """Talks to the LSS slaves of a bus. Raises LssRefused, and what the session raises."""
+    """Sends LSS requests to the slaves of a bus. Raises LssRefused, and the exceptions of the session."""
 
     def __init__(self, session: Session, bus: str) -> None:
         self._session, self._bus = session, bus
@@ -61,8 +61,8 @@ class Lss:
     def unconfigured(self) -> list[LssIdentity]:
         """Returns the boards without a node id, by LSS fast scan.
 
-        A selected board is silent in a scan. So each board that was found is selected before the next scan. Some
-        boards answer all the same (CANopenNode), or have a node id and answer (Lely). So each one is asked alone.
+        A selected board is silent in a scan. So each board found is selected before the next scan. Some boards answer
+        all the same (CANopenNode), or answer although they have a node id (Lely). So each one is asked alone.
         """
         found: dict[LssIdentity, int] = {}
         try:
@@ -71,7 +71,7 @@ class Lss:
                 try:
                     self._switch(one)
                     found[one] = self._ask("inquire node id", _INQUIRE_NODE_ID)[1]
-                except LssSilent:  # nobody has this identity: a selected board has answered
+                except LssSilent:  # no unselected board has this identity: a selected board has answered
                     break
         finally:
             self.release()
@@ -93,8 +93,8 @@ class Lss:
     def configure(self, old: int, node: int | None, bitrate: int | None) -> None:
         """Sets and stores node id and bit rate [bit/s] of the selected board; None: unchanged.
 
-        A node id that was set and not stored would still apply after an NMT reset of the communication. If the board
-        does not confirm that it has stored, it gets its `old` node id back.
+        A node id that was set but not stored would apply after an NMT reset of the communication. If the board does not
+        confirm the storage, it gets its `old` node id back.
         """
         try:
             if node is not None:
@@ -114,7 +114,7 @@ class Lss:
         self._exchange(bytes((_SWITCH, _WAITING)))
 
     def _switch(self, identity: LssIdentity | None, tries: int = _TRIES) -> None:
-        """Switches one board to the configuration state, which it must prove by an answer."""
+        """Switches one board to the configuration state. Its answer must prove that."""
         if identity is None:
             self._exchange(bytes((_SWITCH, _CONFIGURATION)))
             self._ask("select", _INQUIRE[0], tries=tries)
@@ -155,7 +155,7 @@ class Lss:
             raise LssRefused(f"{what}: the board refuses: {why}")
 
     def _ask(self, what: str, *request: int, code: int | None = None, tries: int = _TRIES) -> bytes:
-        """Returns the answer of the selected board, whose first byte is `code`, or that of the request."""
+        """Returns the selected board's answer, whose first byte is `code`, or that of the request."""
         code = request[0] if code is None else code
         for _ in range(tries):
             heard = {answer for answer in self._exchange(bytes(request), code, _TIMEOUT) if answer}
@@ -169,7 +169,7 @@ class Lss:
         raise LssSilent(f"{what}: no board answers by LSS")
 
     def _exchange(self, request: bytes, code: int | None = None, timeout: float = _PAUSE) -> list[bytes]:
-        """Sends a request; returns all answers since the last one. It waits for one whose first byte is `code`."""
+        """Sends a request; returns all answers since the last one. Waits for one whose first byte is `code`."""
         session, before = self._session, len(self._session.heard)
         session.send_frame(self._bus, Frame(_REQUEST, request.ljust(8, b"\0")))
 

@@ -16,8 +16,8 @@ from hyperbit.drivers.canopen.wiring import MASTER
 
 NODES = range(1, 128)
 _FIRST, _TRIES = 0.5, 2  # [s] for the first answer of a node, and attempts
-_PDOS = 32  # RPDOs and TPDOs that are searched
-_MOST_SUBS = 32  # entries of an array that are read
+_PDOS = 32  # RPDOs and TPDOs to search
+_MOST_SUBS = 32  # entries of an array to read
 
 TEXTS = (0x1008, 0x1009, 0x100A)
 _NUMBERS = {0x1001: 0, 0x1005: 0, 0x1006: 0, 0x100C: 0, 0x100D: 0, 0x1010: 1, 0x1017: 0, 0x1019: 0, 0x1029: 1}
@@ -91,7 +91,7 @@ def _array(it: ProbedNode, index: int) -> Generator[Step, SdoOutcome, None]:
 
 
 def _store(it: ProbedNode, index: int, sub: int, outcome: SdoOutcome) -> None:
-    """Stores the value or the refusal of an object, or raises BoardError: the node does not answer any more."""
+    """Stores the value or the refusal of an object. Raises BoardError if the node does not answer any more."""
     if outcome.data is not None:
         it.numbers[index, sub] = int.from_bytes(outcome.data, "little")
     elif outcome.abort is None:

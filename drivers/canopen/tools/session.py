@@ -1,4 +1,4 @@
-"""A session of a command with the boards of some buses, while no executor uses these buses."""
+"""A command's session with the boards of some buses, while no executor uses these buses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hyperbit.drivers.canopen.wire.events import BusChanged, Event, FrameEchoed,
 from hyperbit.drivers.canopen.wire.link import Link, Outgoing
 from hyperbit.drivers.canopen.wiring import MASTER
 
-LISTEN, PERIODS = 1.2, 1.5  # [s], and heartbeats of the master, for which a session listens before it sends
+LISTEN, PERIODS = 1.2, 1.5  # time to listen before the first frame: [s], and in heartbeat periods of the master
 _STUCK_AFTER = 0.5  # [s]
 _POLL = 0.001  # [s] between two polls of the buses
 _ANSWER = 0.3  # [s] for the answer to a remote frame
@@ -32,14 +32,14 @@ class MasterHeard(Exception):
 class Session:
     """Open buses, and the procedures with their nodes. Use it in a `with` statement; each method blocks until its end.
 
-    `heartbeat` is the period of a master's heartbeat [s], if it is known.
+    `heartbeat`: a master's heartbeat period [s], if known.
     """
 
     clock, sleep = staticmethod(time.monotonic), staticmethod(time.sleep)  # [s]
 
     def __init__(self, buses: Iterable[CanBus], heartbeat: float = 0.0) -> None:
         self.states: dict[Node, State] = {}  # the last ones, by heartbeats and remote frames (CiA 301, 7.2.8.3.2)
-        self.heard: list[Frame] = []  # frames of others since the caller has cleared it
+        self.heard: list[Frame] = []  # frames of other nodes since the caller's last `clear`
         self._buses = {bus.name: bus for bus in buses}
         self._listen = max(LISTEN, PERIODS * heartbeat)
         self._outbox: list[tuple[str, Frame]] = []
@@ -72,7 +72,7 @@ class Session:
         self.wait(lambda: False, self._listen)
 
     def wait(self, until: Callable[[], bool], seconds: float) -> bool:
-        """Waits until a condition holds, at most for a time [s]; returns whether it holds. Raises MasterHeard."""
+        """Waits until a condition holds, up to `seconds`; returns whether it holds. Raises MasterHeard."""
         end = self.clock() + seconds
         while not until():
             now = self.clock()
@@ -85,7 +85,7 @@ class Session:
             if self._master is not None:
                 raise MasterHeard(self._master)
             for link in self._links.values():
-                link.armed = link.usable  # so that a stuck bus is found; nothing is switched here
+                link.armed = link.usable  # to detect a stuck bus; nothing is switched here
                 if (fault := link.tick(now, now)) is not None:
                     self._faults.setdefault(link.name, fault)
             for runner in self._runners.values():
@@ -152,7 +152,7 @@ class Session:
         return self.clock() - began if node in self.states else None
 
     def send_frame(self, bus: str, frame: Frame) -> None:
-        """Sends a frame at once, outside procedures; raises BusError if the bus does not take it."""
+        """Sends a frame at once, outside procedures. Raises BusError if the bus does not accept it."""
         if (why := self._buses[bus].send_frame(frame)) is not None:
             raise BusError(f"{bus}: {why}")
 
@@ -165,7 +165,7 @@ class Session:
         self._came_back.add(event.bus)
         if isinstance(event, FrameEchoed) and link.echoed(event.frame, now):
             return
-        frame = event.frame  # of a board, also of one on this computer, whose frames are echoes
+        frame = event.frame  # of a board; frames of a board on this computer are echoes
         self.heard.append(frame)
         function, node = cia301.split(frame.id)
         if function == cia301.HEARTBEAT and len(frame.data) == 1:

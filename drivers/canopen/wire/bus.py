@@ -23,15 +23,15 @@ _GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # the interface is down or 
 _NOTHING = (errno.EAGAIN, errno.EINTR)  # no frame waits
 
 # Error frames of SocketCAN, from linux/can/error.h.
-_CONTROLLER, _COUNTERS = 0x04, 0x200  # a class, and whether the error counters are told, in the identifier
+_CONTROLLER, _COUNTERS = 0x04, 0x200  # bits of the identifier: a class, and "has error counters"
 _OVERRUN = 0x01  # a detail: the receive buffer of the controller ran over
 _WARNING, _PASSIVE, _ACTIVE = 0x04 | 0x08, 0x10 | 0x20, 0x40  # details, in data[1]
 
 
 def read_error(identifier: int, data: bytes) -> tuple[str | None, tuple[int, int] | None, bool]:
-    """Returns what an error frame tells: state, transmit and receive error counter, and whether frames were lost.
+    """Parses an error frame: state, transmit and receive error counter, and whether frames were lost.
 
-    The state is "active", "warning", "passive" or "bus-off". State and counters are None if the frame does not tell.
+    The state is "active", "warning", "passive" or "bus-off". State and counters are None if the frame lacks them.
     """
     data = data.ljust(8, b"\0")
     state: str | None = None
@@ -43,7 +43,7 @@ def read_error(identifier: int, data: bytes) -> tuple[str | None, tuple[int, int
     if identifier & BUS_OFF:
         state = "bus-off"
     controller = bool(identifier & _CONTROLLER)
-    # Drivers before Linux 6.1 tell the counters with a state, and without the flag.
+    # Drivers before Linux 6.1 send the counters with a state, without the flag.
     told = identifier & _COUNTERS or (controller and (state is not None or any(data[6:8])))
     return state, (data[6], data[7]) if told else None, controller and bool(data[1] & _OVERRUN)
 
@@ -53,7 +53,7 @@ class InterfaceInUse(BusError):
 
 
 def lock_interface(channel: str) -> socket.socket:
-    """Returns what holds the lock of a SocketCAN interface until it is closed, or until the process ends.
+    """Locks a SocketCAN interface until the returned socket is closed, or the process ends.
 
     It is a Unix socket in the abstract namespace, which belongs to a network namespace as interfaces do.
     """
@@ -75,7 +75,7 @@ def lock_interface(channel: str) -> socket.socket:
 class CanBus:
     """One CAN bus. No method blocks, and only `open` raises.
 
-    A bus that goes down is opened again by `poll`, with a growing pause between attempts; `clock` tells its time [s].
+    A bus that goes down is opened again by `poll`, with a growing pause between attempts; `clock` returns the time [s].
     """
 
     def __init__(self, wiring: BusWiring, clock: Callable[[], float] = time.monotonic) -> None:
@@ -98,7 +98,7 @@ class CanBus:
             self._lock = lock_interface(s.channel)
         try:
             self._bus = self._open()
-        except Exception as error:  # python-can passes on whatever the interface raises
+        except Exception as error:  # python-can passes on any exception of the interface
             raise BusError(f"{s.name}: cannot open {s.channel} of the interface {s.interface}: {error}") from error
         self._closed = self._down = False
         self._events.append(BusChanged(self.name, "active", "", None))
@@ -114,7 +114,7 @@ class CanBus:
         return None
 
     def send_frame(self, frame: Frame) -> str | None:
-        """Sends a frame now or not at all; returns why it was not sent, or None. The caller tells the master."""
+        """Sends a frame now or not at all; returns why it was not sent, or None. The caller informs the master."""
         if self._bus is None:
             return "the bus is closed" if self._closed else "the interface is down"
         number, remote = frame.id & ~REMOTE, bool(frame.id & REMOTE)

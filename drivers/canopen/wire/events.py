@@ -1,4 +1,4 @@
-"""Events of a CAN bus, as plain data: its name, and what happened. `bus.CanBus` makes them, `Master` takes them."""
+"""Events of a CAN bus, as plain data. `bus.CanBus` makes them, `Master` takes them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One CAN bus from the master's side: its state and load, the frames being sent, and the frames that wait."""
+"""One CAN bus from the master's side: state, load, frames under way, and waiting frames."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from hyperbit.drivers.canopen.wire.cia301 import REMOTE, Frame, wire_bits
 from hyperbit.drivers.canopen.wiring import BusWiring
 
 _MOST_UNSENT = 4  # queued frames handed out at once; a SocketCAN interface holds 10 by default
-_ECHOED = 0.03  # [s] within which nearly all commands are sent
+_ECHOED = 0.03  # [s] until nearly all commands are sent
 
 
 class TxPending:
     """The frames that wait for their echo; `last_echo` is the time of the last echo [s].
 
     SocketCAN echoes each frame when it was sent (receive_own_messages). Frames are matched by identifier and data,
-    since controllers with several mailboxes do not keep the order. All controllers send a frame before one that was
-    handed out later and has a greater identifier. So the echo of the later frame shows that the echo of the earlier
-    one was lost. Some interfaces never echo frames: no frame counts as pending until the first echo.
+    since controllers with several mailboxes do not keep the order. But every controller sends a frame before a later
+    one with a greater identifier. So the echo of the later frame shows that the echo of the earlier one was lost. Some
+    interfaces never echo frames: no frame counts as pending until the first echo.
     """
 
     def __init__(self) -> None:
@@ -44,12 +44,12 @@ class TxPending:
         return self.last_echo is not None and any(frame.id == cob_id for frame, _ in self._pending)
 
     def commanded(self, before: float) -> bool:
-        """Returns whether an NMT command, SYNC or RPDO is pending that was handed out before a time [s]."""
+        """Returns whether an NMT command, SYNC or RPDO handed out before a time [s] is pending."""
         waits = any(frame.id < cia301.SDO_ANSWER and at < before for frame, at in self._pending)
         return waits and self.last_echo is not None
 
     def sent(self, frame: Frame, now: float) -> None:
-        """Adds a frame, and gives up equal frames that were handed out before the last echo: their echoes were lost.
+        """Adds a frame. Gives up equal frames that were handed out before the last echo: their echoes were lost.
 
         Otherwise each echo of a heartbeat would count as the lost echo of the heartbeat before it, for ever.
         """
@@ -60,11 +60,10 @@ class TxPending:
         self._pending = [*kept, (frame, now)]
 
     def failed(self, frame: Frame) -> bool:
-        """Removes a frame that could not be sent; returns whether it was pending."""
         return self._remove(frame) is not None
 
     def came_back(self, frame: Frame, now: float) -> list[Frame]:
-        """Takes an echo; returns the frames that were sent, whose echoes were lost but for the last; none: not ours."""
+        """Takes an echo; returns the sent frame, after earlier ones whose echo was lost. Empty: a foreign frame."""
         if (place := self._remove(frame)) is not None:
             earlier = (each for each, _ in self._pending[:place])
             lost = [each for each in earlier if each.id & ~REMOTE < frame.id & ~REMOTE]
@@ -81,7 +80,7 @@ class TxPending:
         return [*lost, frame]
 
     def give_up(self, before: float = math.inf) -> None:
-        """Stops to wait for frames that were handed out before a time [s]; their echoes are still recognized."""
+        """Stops waiting for frames handed out before a time [s]; their echoes are still recognised."""
         old = {frame for frame, at in self._pending if at < before}
         self._given_up.update(frame for frame, _ in self._pending if frame in old)
         self._pending = [(frame, at) for frame, at in self._pending if frame not in old]
@@ -105,8 +104,8 @@ class Outgoing:
 
     frame: Frame
     first_at: float | None = None  # when it was handed out first [s]; None while it waits
-    sent: bool = False  # as far as is known
-    cancelled: bool = False  # it will not be sent any more
+    sent: bool = False  # sending was confirmed
+    cancelled: bool = False  # will not be sent any more
 
 
 class Link:
@@ -129,7 +128,7 @@ class Link:
         self._sent_since_tick = self._failed_since_tick = False
         self._queue: deque[Outgoing] = deque()
         self._urgent: deque[Outgoing] = deque()
-        self._unsent: dict[Frame, Outgoing] = {}  # from the queue, handed out and not yet sent
+        self._unsent: dict[Frame, Outgoing] = {}  # frames of the queue that were handed out and not yet sent
         self._errors = 0, 0
         self._dropped = self._tx_frames = self._rx_frames = self._bits = 0
         self._counted: tuple[float, int, int] | None = None  # time, frames and bits when the rates were computed
@@ -148,7 +147,7 @@ class Link:
         return self.pending.last_echo is not None
 
     def misses_echo(self, now: float, last: Frame) -> bool:
-        """Returns whether the echo of a command is overdue; that of `last`, the frame of least priority, will tell."""
+        """Returns whether a command's echo is overdue, and no `last` frame (of least priority) is pending."""
         return self.pending.commanded(now - _ECHOED) and not self.pending.holds(last.id)
 
     def fit(self, now: float) -> bool:
@@ -187,7 +186,7 @@ class Link:
             self.state = "active"
 
     def echoed(self, frame: Frame, now: float) -> list[Frame]:
-        """Takes the echo of a frame; returns the frames that were sent, see `TxPending.came_back`."""
+        """Takes the echo of a frame; returns the sent frames, see `TxPending.came_back`."""
         sent = self.pending.came_back(frame, now)
         if sent and self.state == "bus-off":
             self.state = "active"
@@ -211,7 +210,7 @@ class Link:
             self._queue.appendleft(outgoing)
 
     def answered(self, outgoing: Outgoing, now: float) -> None:
-        """Records that a board has answered a queued frame, which was therefore sent."""
+        """Records that a board has answered a queued frame, so the frame was sent."""
         outgoing.sent = True
         if self._unsent.get(outgoing.frame) is outgoing:
             del self._unsent[outgoing.frame]
@@ -227,7 +226,7 @@ class Link:
         if state == "down":
             return self._lose(state, "bus-down", why or "the interface is down", now)
         if state is not None:
-            if self.state in ("down", "closed"):  # it was opened again
+            if self.state in ("down", "closed"):  # the bus was opened again
                 self.pending.forget()
                 self._clear()
             self.state = state
@@ -239,7 +238,7 @@ class Link:
         if self._sent_since_tick and not self._failed_since_tick:
             self._failing_since = None
         self._sent_since_tick = self._failed_since_tick = False
-        if not self.echoes:  # frames that have not failed count as sent
+        if not self.echoes:  # without echoes, frames that have not failed count as sent
             for outgoing in self._unsent.values():
                 outgoing.sent = True
             self._unsent.clear()

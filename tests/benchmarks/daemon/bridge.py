@@ -22,9 +22,10 @@ from hyperbit.controller.network import session
 from hyperbit.controller.ros2.wire import qos
 from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.session import Session
-from tests.benchmarks.daemon.chain.parts import Parts, free_port
+from tests.benchmarks.daemon.chain.parts import Parts
 from tests.benchmarks.daemon.goal_latency import WARM, Times, send, steps_of
 from tests.benchmarks.harness import CommandLine, percentiles, processor_time, report
+from tests.endpoints import free_endpoint
 from tests.ros2.wire.conftest import Router
 from tests.waiting import eventually
 
@@ -44,7 +45,6 @@ class Round(NamedTuple):
     """One round of goals.
 
     Attributes:
-        bridged: whether the bridge ran.
         puts: time of each goal, shape (n,) [s].
         pings: time of the ping before each goal, shape (n,) [s].
         load: the planner's processor time over the time of the round.
@@ -62,7 +62,7 @@ def main() -> None:
     options = CommandLine(__doc__, goals=100).parse()
     router = Router()
     with Parts(real_time=True) as parts, Session(router.endpoint) as ros:
-        endpoint = f"tcp/127.0.0.1:{free_port()}"
+        endpoint = free_endpoint()
         parts.start("listener", endpoint, said=True)
         heard = heard_by(Node(ros, "listener", f"/{parts.name}"))
         with zenoh.open(session.configuration("client", connect=endpoint)) as bare:

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.network import session
 from hyperbit.controller.network.client import decoded
-from tests.benchmarks.daemon.chain.parts import Parts, free_port
+from tests.benchmarks.daemon.chain.parts import Parts
 from tests.benchmarks.harness import CommandLine, percentiles, report
+from tests.endpoints import free_endpoint
 
 MEDIAN, NEARLY_ALL = 1.0, 3.0  # bars: [ms] of half of the goals and of 99 % of them
 WARM = 20  # goals before those that count
@@ -32,7 +33,7 @@ Times = NDArray[np.float64]
 def main() -> None:
     options = CommandLine(__doc__, goals=200).parse()
     with Parts(real_time=True) as parts:
-        endpoint = f"tcp/127.0.0.1:{free_port()}"
+        endpoint = free_endpoint()
         parts.start("listener", endpoint, said=True)
         with zenoh.open(session.configuration("client", connect=endpoint)) as bare:
             puts, pings = send(parts, bare, options.goals + WARM)

@@ -112,7 +112,6 @@ def longest(ticks: dict[str, NDArray[np.float64]], empty: NDArray[np.float64]) -
 
 
 def load(parts: Parts, seconds: float) -> Goals:
-    """Sends set-points and goals for a time [s]."""
     session, drawn = parts.session(), random.Random(20)
     goals, began, next_goal, k = Goals(session, parts.name), time.monotonic(), 0.0, 0
     while (t := time.monotonic() - began) < seconds:

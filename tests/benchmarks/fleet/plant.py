@@ -22,8 +22,8 @@ from websockets.sync.client import ClientConnection, connect
 
 from hyperbit.controller.network import session
 from hyperbit.controller.panel.access.people import digest_of
-from tests.benchmarks.daemon.chain.parts import free_port
 from tests.benchmarks.harness import PAPER_ARM, processor_time
+from tests.endpoints import free_endpoint
 from tests.waiting import eventually
 
 OUTPUTS = 24  # of a board; few boards for an arm are light to simulate
@@ -39,12 +39,10 @@ class Cost(NamedTuple):
 
 
 class Plant:
-    """The plant; arms are added, killed and started again."""
-
     def __init__(self, folder: Path, closing: ExitStack) -> None:
         self._folder, self._closing = folder, closing
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
-        self.endpoint, self.arms = f"tcp/127.0.0.1:{free_port()}", list[str]()
+        self.endpoint, self.arms = free_endpoint(), list[str]()
         closing.callback(self._end)
         self.start_router()
 

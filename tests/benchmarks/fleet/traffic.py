@@ -19,8 +19,6 @@ Place = list[float]
 
 
 class Sent(NamedTuple):
-    """A goal: its arm and id, times from its put to answer and result [s], and its status."""
-
     arm: str
     id: str
     answered: float
@@ -89,7 +87,6 @@ class Traffic:
             self._goal(client, arm, self._places[turn % len(self._places)])
 
     def _goal(self, client: Client, arm: str, place: Place) -> None:
-        """Sends a goal and follows it to its end."""
         goal, began = uuid.uuid4().hex[:12], time.monotonic()
         try:
             answer = client.request("goal", {"id": goal, "waypoints": [{"position": place}]})

@@ -86,7 +86,6 @@ class Tally:
 
 
 def scene(manipulator: Manipulator, rng: np.random.Generator) -> list[Shape]:
-    """Two round regions and two boxes where the arm goes."""
     tips = manipulator.tips(rng.integers(0, manipulator.states, (4, len(manipulator.states))))
     size, length = manipulator.dimension, manipulator.length
     middles = tips[:, :size, 3] * rng.uniform(0.5, 1.1, (4, 1))

@@ -37,7 +37,6 @@ WITHIN = 20.0  # bar: [ms] between the medians
 
 
 def page(closing: ExitStack, url: str, cookie: str) -> ClientConnection:
-    """Opens a page that reads all it is sent."""
     socket = connect(
         f"{url.replace('http', 'ws')}arms/{ARM}/live", origin=url.rstrip("/"), additional_headers={"cookie": cookie}
     )  # type: ignore[arg-type]

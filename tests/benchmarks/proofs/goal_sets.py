@@ -64,7 +64,6 @@ def lattice(arm: Arm, rng: np.random.Generator) -> Drawn:
 
 
 def free(arm: Arm, rng: np.random.Generator) -> Configuration:
-    """Draws a random collision-free configuration."""
     check = check_of(arm.clearance(), np.eye(4), 1.0, math.inf)
     while True:
         own = rng.integers(0, arm.manipulator.states)
@@ -101,13 +100,11 @@ def drawn(recipe: Recipe) -> list[tuple[str, Drawn]]:
 
 
 def prove_task(task: Task, seconds: float, known: Configuration | None = None) -> Proof:
-    """Returns the proof of a goal, see prove."""
     own = task.frame, task.start, task.tolerance, task.angle_tolerance
     return prove(load_arm(task.arm).clearance(), *own, seconds=seconds, known=known)
 
 
 def row_of(arm: str, asked: Drawn, seconds: float) -> dict[str, str]:
-    """Returns a goal as a row of a set's file, proven."""
     start, goal, turned, tolerance, turn, end = asked
     m = load_arm(arm).manipulator
     proof = prove_task(Task(arm, start, goal, turned, tolerance, turn, 0, end, 0), seconds, end)
@@ -141,11 +138,6 @@ def same(task: Task, arm: str, asked: Drawn) -> bool:
 
 
 def again(task: Task, seconds: float) -> None:
-    """Proves a goal of a set again.
-
-    Raises:
-        SystemExit: the proof differs.
-    """
     proof = prove_task(task, seconds)
     wrong = proof.switches < task.bound or task.switches < proof.bound
     if wrong or (task.proven and proof.proven and proof.switches != task.switches):

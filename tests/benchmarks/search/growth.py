@@ -20,7 +20,6 @@ Figures = dict[str, float]
 
 
 def growth(number: int, tolerance: float) -> dict[int, Figures]:
-    """Measures arms, each on `number` random goals; shows the table, and returns the figures by number of modules."""
     figures = {modules: grown(modules, number, tolerance) for modules in MODULES}
     headers = [name.removeprefix("hyperbit ").replace(", ", "\n") for name in figures[MODULES[0]]]
     rows = [(modules, *(f"{value:.3g}" for value in row.values())) for modules, row in figures.items()]

@@ -18,8 +18,6 @@ Goals = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """The arm, its densities and the time that mapping them took."""
-
     manipulator: Manipulator
     densities: Densities
     mapping: float

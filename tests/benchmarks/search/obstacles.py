@@ -73,7 +73,6 @@ def traced(
     turn: float,
     before: list[Configuration],
 ) -> Trace:
-    """Solves goals, each from a given configuration, or from the configuration found for the previous goal."""
     before = list(before)
     for goal in goals[:WARM]:
         solver.solve(solver.target(goal, tolerance, turn), before[0], method)
@@ -119,7 +118,6 @@ def measured(
 
 
 def scene(arm: Manipulator, rng: np.random.Generator) -> Obstacles:
-    """Returns two random regions among what a planar arm reaches."""
     tips = arm.tips(rng.integers(0, arm.states, (2, len(arm.states))))[:, :2, 3] * rng.uniform(0.3, 1.1, (2, 1))
     turn = rng.uniform(-np.pi, np.pi)
     rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])

@@ -81,7 +81,6 @@ def proven(
     before: list[Configuration],
     found: list[Solution],
 ) -> str:
-    """Compares the found switches with the proven minimum."""
     own = least = known = 0
     for goal, previous, solution in zip(goals, before, found, strict=True):
         proof = solver.solve(solver.target(goal, tolerance, turn), previous, timeout=PROVING)

@@ -24,11 +24,7 @@ ROWS = {
 
 
 def agree(found: list[Solution]) -> None:
-    """Checks that no lower bound exceeds a cost that another search has found.
-
-    Raises:
-        AssertionError: one does.
-    """
+    """Checks that no lower bound exceeds a cost that another search has found."""
     least = min(f.cost if f.within_tolerance else np.inf for f in found)
     if any(f.bound > least + 1e-9 for f in found):
         raise AssertionError(f"costs and bounds contradict: {[(f.cost, f.bound) for f in found]}")

@@ -5,22 +5,18 @@ from __future__ import annotations
 import json
 import socket
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import can
 import pytest
 import yaml
 
-from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.program import VERSION, Goodbye, Welcome, encode
-from hyperbit.drivers.simulation.simulation import Simulation
 from tests.commands.conftest import ARM
 
 
 @pytest.fixture
 def arm(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
-    """An arm's file whose bus is virtual."""
     document = yaml.safe_load(ARM.read_text())
     document["buses"][0] |= {"interface": "virtual", "channel": request.node.name}
     document["boards"]["boot_timeout"] = 60
@@ -30,17 +26,7 @@ def arm(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
 
 
 @pytest.fixture
-def boards(arm: Path) -> Iterator[Simulation]:
-    read = read_arm(arm)
-    simulation = Simulation(read.wiring, read.timing)
-    simulation.start()
-    yield simulation
-    simulation.stop()
-
-
-@pytest.fixture
 def board(hyperbit, arm, tmp_path):
-    """Runs the command on an arm without an executor."""
     return lambda *words: hyperbit("board", str(arm), *words, "--socket", str(tmp_path))
 
 
@@ -131,3 +117,17 @@ def test_the_command_refuses_while_a_master_is_on_the_bus(board, boards, request
         code, _, err = board("can0/5", "reset", "--yes")
         task.stop()
     assert (code, "an executor is running (its heartbeat, node 127, is on can0): stop it first" in err) == (1, True)
+
+
+def test_an_executor_that_starts_during_the_question_is_noticed(board, boards, request, monkeypatch, brief_listening):
+    with boards.board("can0/5") as it:
+        it.objects.set_number(0x1017, 0, 777)
+    with can.Bus(interface="virtual", channel=request.node.name) as bus:
+        message = can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False)
+        tasks = []
+        monkeypatch.setattr("typer.confirm", lambda question, err: not tasks.append(bus.send_periodic(message, 0.05)))
+        code, _, err = board("can0/5", "reset")
+        tasks[0].stop()
+    assert (code, "an executor is running" in err) == (1, True)
+    with boards.board("can0/5") as it:
+        assert it.objects.number(0x1017) == 777

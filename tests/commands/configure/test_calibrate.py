@@ -24,7 +24,6 @@ def files(request, tmp_path):
 
 
 def written(folder, arm, samples):
-    """A CSV file of samples."""
     planar, lines = arm.manipulator.planar, ["configuration,x,y,th" if arm.manipulator.planar else SPATIAL]
     for configuration, tip in zip(samples.configurations, samples.tips, strict=True):
         turn = [frames.angle(tip)] if planar else frames.quaternion(tip).tolist()

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import json
 import socket
+import subprocess
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import can
 import pytest
 import yaml
 
-from hyperbit.controller.commands.configure.check import summary
-from hyperbit.controller.executor.arm.arm import read_arm
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.commands.configure.check import summary, wrong_rates
 from hyperbit.controller.program import VERSION, Welcome, encode
-from hyperbit.drivers.simulation.simulation import Simulation
 from tests.commands.conftest import ARM
 
 NAME = "checked-by-a-test"  # no executor of this computer has this name
@@ -23,7 +22,6 @@ NAME = "checked-by-a-test"  # no executor of this computer has this name
 
 @pytest.fixture
 def arm(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
-    """An arm's file of four boards whose bus is virtual."""
     document = yaml.safe_load(ARM.read_text())
     document["name"] = NAME
     document["buses"][0] |= {"interface": "virtual", "channel": request.node.name}
@@ -32,15 +30,6 @@ def arm(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     path = tmp_path / "arm.yaml"
     path.write_text(yaml.safe_dump(document))
     return path
-
-
-@pytest.fixture
-def boards(arm: Path) -> Iterator[Simulation]:
-    read = read_arm(arm)
-    simulation = Simulation(read.wiring, read.timing)
-    simulation.start()
-    yield simulation
-    simulation.stop()
 
 
 @pytest.fixture
@@ -102,3 +91,16 @@ def test_an_executor_that_answers_at_its_socket_is_refused(check, tmp_path):
         threading.Thread(target=serve, daemon=True).start()
         code, _, err = check()
     assert (code, f"the executor of {NAME} is running (it answers at" in err) == (1, True)
+
+
+def test_a_bus_with_another_bit_rate_than_the_files_is_told(monkeypatch):
+    link = [{"linkinfo": {"info_data": {"bittiming": {"bitrate": 250_000}}}}]
+    done = subprocess.CompletedProcess((), 0, json.dumps(link).encode())
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: done)
+    [(bus, text)] = wrong_rates(load(ARM))
+    assert bus.name == "can0"
+    where = "/etc/systemd/network/80-can0.network"
+    assert text == f"can0 has 250000 bit/s, the arm's file 1000000: change {where} or the file"
+    for nothing in (b"", b"[]", b"[{}]"):
+        done.stdout = nothing
+        assert not list(wrong_rates(load(ARM)))

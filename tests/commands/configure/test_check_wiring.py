@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 from tests.arm_files import document
+from tests.keys import DEPLOY
 
 
 def written(folder: Path, value: dict[str, Any]) -> Path:
@@ -44,3 +45,12 @@ def test_boards_of_end_stops_count_as_boards_of_the_arm(hyperbit, tmp_path):
     assert (code, "no board can0/8, there are can0/1, can0/2, can0/9" in err.replace("\n", " ")) == (2, True), err
     code, _, err = hyperbit("board", str(path), "can0/8", "errors")
     assert (code, "which has can0/1, can0/2, can0/9" in err.replace("\n", " ")) == (2, True), err
+
+
+def test_check_draws_the_wiring_of_an_arm(hyperbit, tmp_path):
+    file = tmp_path / "wiring.svg"
+    code, _, err = hyperbit("check", str(DEPLOY / "motor12.yaml"), "--wiring", str(file))
+    assert (code, err) == (0, "")
+    assert "<svg" in file.read_text()
+    code, _, err = hyperbit("check", str(DEPLOY / "motor12.yaml"), "--wiring", str(tmp_path / "wiring.txt"))
+    assert (code, "cannot be written" in err) == (2, True)

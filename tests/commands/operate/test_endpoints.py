@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import sys
 from contextlib import ExitStack
@@ -15,43 +14,39 @@ import zenoh
 from hyperbit.controller.armfile.patience import patient_copy
 from hyperbit.controller.commands.connection import connected
 from hyperbit.controller.commands.operate import demo
-from hyperbit.controller.commands.operate.endpoints import address_of, owner_of, port_taken
 from hyperbit.controller.network.session import configuration
+from tests.endpoints import free_endpoint
 from tests.waiting import eventually
 
 ARM = Path(__file__).parents[3] / "deploy" / "planar16.yaml"
 
 
 @pytest.mark.parametrize(
-    ("endpoint", "address"),
+    "words",
     [
-        ("tcp/127.0.0.1:7447", ("127.0.0.1", 7447)),
-        ("tls/robot.local:7447#root_ca_certificate=ca.pem", ("robot.local", 7447)),
-        ("tcp/[::1]:1?rel=1", ("::1", 1)),
-        ("unixsock-stream/a.sock", None),
-        ("tcp/127.0.0.1", None),
-        ("tcp/127.0.0.1:seven", None),
+        ("run", str(ARM), "--listen"),
+        ("run", str(ARM), "--connect"),
+        ("router", "--listen"),
+        ("router", "--connect"),
+        ("panel", "--connect"),
+        ("ros2", "planar16", "--ros"),
+        ("ros2", "planar16", "--connect"),
+        ("record", "planar16", "--connect"),
+        ("send", "planar16", "--to", "1,2", "--connect"),
+        ("watch", "planar16", "--connect"),
+        ("fleet", "--connect"),
+        ("stop", "--all", "--connect"),
     ],
 )
-def test_the_address_of_an_endpoint(endpoint: str, address: tuple[str, int] | None) -> None:
-    assert address_of(endpoint) == address
-
-
-def test_a_port_that_is_taken_is_told_with_its_process_and_both_ways_out() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        told = port_taken(f"tcp/127.0.0.1:{port}")
-        assert (owner_of(port) or "").endswith(f"(process {os.getpid()})")
-    assert told is not None
-    assert told.startswith(f"port {port} of 127.0.0.1 is taken by ")
-    assert f"--connect tcp/127.0.0.1:{port}" in told
-    assert told.endswith(f"--listen tcp/127.0.0.1:{port + 1}")
-    assert port_taken("unixsock-stream/a.sock") is None
+def test_each_command_refuses_what_is_no_endpoint(hyperbit, tmp_path, monkeypatch, words) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.chdir(tmp_path)
+    code, out, err = hyperbit(*words, "127.0.0.1:7447")
+    assert (code, out) == (2, "")
+    assert "'127.0.0.1:7447' is no endpoint" in err
 
 
 def test_a_daemon_joins_a_router_that_comes_later_and_again_after_its_loss(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    endpoint = free_endpoint()
     command = [sys.executable, "-m", "hyperbit", "run", str(patient_copy(ARM, tmp_path)), "--simulate"]
     command += ["--connect", endpoint, "--ledger", str(tmp_path / "ledger.sqlite")]
     environment = {**os.environ, "RUNTIME_DIRECTORY": str(tmp_path)}

@@ -10,8 +10,9 @@ import zenoh
 
 from hyperbit.controller.commands.operate.router import router_config
 from hyperbit.controller.network import session
+from tests.endpoints import free_endpoint
 from tests.keys import DEPLOY
-from tests.network.played import Router, free_endpoint
+from tests.network.played import Router
 from tests.waiting import PATIENCE, eventually
 
 

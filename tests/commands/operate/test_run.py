@@ -105,11 +105,4 @@ def test_a_page_listens_at_the_given_port(monkeypatch: pytest.MonkeyPatch) -> No
     with run_module.started_page("tcp/0.0.0.0:7448", 7481), run_module.started_page("tcp/[::]:7449", None):
         pass
     (command,) = commands
-    assert command[2:] == [
-        "hyperbit",
-        "panel",
-        "--connect",
-        "tcp/127.0.0.1:7448",
-        "--listen",
-        "127.0.0.1:7481",
-    ]
+    assert command[2:] == ["hyperbit", "panel", "--connect", "tcp/127.0.0.1:7448", "--listen", "127.0.0.1:7481"]

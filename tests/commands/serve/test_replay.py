@@ -27,9 +27,7 @@ def test_bad_options_give_a_message(told: Told, recording: Path) -> None:
     for prefix in ("hyperbit", "a/hyperbit", "", "a//b", "*", "a b", "@x"):
         words = told("replay", str(recording), "--prefix", prefix, code=2)
         assert "not hyperbit, the prefix of running daemons" in words
-    assert "no Zenoh session at tcp/127.0.0.1:1" in told(
-        "replay", str(recording), "--connect", "tcp/127.0.0.1:1", code=1
-    )
+    assert "nobody listens at tcp/127.0.0.1:1" in told("replay", str(recording), "--connect", "tcp/127.0.0.1:1", code=1)
 
 
 def test_bad_files_give_a_message(told: Told, recording: Path, tmp_path: Path) -> None:

@@ -114,3 +114,9 @@ def test_unknown_names_are_refused(hyperbit, words, sentence):
     code, _, err = hyperbit("bench", *words)
     assert code == 2
     assert sentence in err
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_the_work(hyperbit, tmp_path):
+    code, out, err = hyperbit("bench", "--set", "lattice", "--json", str(tmp_path / "gone" / "figures.json"))
+    assert (code, out) == (2, "")
+    assert "figures.json: cannot be written: No such file or directory" in err

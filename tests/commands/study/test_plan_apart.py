@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
 
 import hyperbit as hb
+from hyperbit.controller.commands.common import CommandFailed
 from hyperbit.controller.commands.study import plan as plan_module
+from hyperbit.controller.commands.study.plan_rows import write_line
+from hyperbit.controller.host.keeper import lock_file
 
 ARM = """name: short
 tolerance: {position: 0.01}
@@ -143,6 +147,32 @@ def test_a_damaged_line_is_named(plan, tmp_path):
     assert "cannot be written" in plan(*words[:-1], str(tmp_path / "no" / "out.jsonl"))[2]
 
 
+@pytest.mark.parametrize("apart", [("--apart", "--effort", "20"), ()])
+def test_a_file_from_which_lines_are_missing_is_refused(plan, tmp_path, apart):
+    output = tmp_path / "out.jsonl"
+    plan(*apart, "--output", str(output))
+    lines = output.read_bytes().splitlines(keepends=True)
+    output.write_bytes(b"".join([*lines[:3], *lines[4:]]))
+    code, _, err = plan(*apart, "--output", str(output))
+    assert (code, "line 4 is of another goal, so lines are missing" in err) == (2, True)
+
+
+def test_one_study_at_a_time_writes_a_file(plan, tmp_path):
+    output, lock = tmp_path / "out.jsonl", tmp_path / ".out.jsonl.lock"
+    held = lock_file(lock, "")
+    code, _, err = plan("--apart", "--output", str(output))
+    os.close(held)
+    assert (code, f"end the other study, or name another file: process {os.getpid()}" in err) == (1, True)
+    assert plan("--apart", "--effort", "20", "--output", str(output))[0] == 0
+    assert not lock.exists()
+
+
+def test_a_full_disk_is_told_with_what_to_do():
+    with Path("/dev/full").open("wb", buffering=0) as file, pytest.raises(CommandFailed) as caught:
+        write_line(Path("out.jsonl"), file, {})
+    assert "out.jsonl cannot be written: No space left on device\nNext: free disk space; the same" in str(caught.value)
+
+
 def test_many_results_are_lines_as_they_come_and_few_are_a_table(plan, monkeypatch):
     few = plan("--apart", "--effort", "20")[1]
     monkeypatch.setattr(plan_module, "MOST_ROWS", 11)
@@ -180,5 +210,5 @@ def test_options_of_many_goals_need_a_file_of_goals(hyperbit, tmp_path, arm, wor
 def test_a_table_has_all_columns_in_its_header(plan):
     assert plan_module.MOST_ROWS > 12
     assert plan()[1].splitlines()[0].split() == [
-        *("goal", "configuration", "position", "θ", "[rad]", "error", "switches", "ms")
+        *("goal", "configuration", "position", "th", "[rad]", "error", "switches", "ms")
     ]

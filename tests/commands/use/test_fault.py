@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
-
-import pytest
-
 from hyperbit.controller.planning.core.events import refused
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.drivers.simulation.fault_commands import VERBS, usage
-from tests.gateway.conftest import Gateway, endpoint  # noqa: F401
 
 NOWHERE = ("--connect", "tcp/127.0.0.1:1")
-
-
-@pytest.fixture
-def gateway(endpoint):  # noqa: F811
-    with ExitStack() as stack:
-        yield Gateway(stack, endpoint)
 
 
 def test_help_names_each_verb_with_a_line(hyperbit):

@@ -45,12 +45,6 @@ class Plant:
 
 
 @pytest.fixture
-def stack():
-    with ExitStack() as stack:
-        yield stack
-
-
-@pytest.fixture
 def plant(stack):
     return Plant(stack)
 

@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 import json
-from contextlib import ExitStack
 
 import pytest
 
 from hyperbit.controller.motion.decoding.requests import DegradeMessage
-from tests.gateway.conftest import NO_ACTUATOR, Gateway, endpoint  # noqa: F401
+from tests.gateway.conftest import NO_ACTUATOR
 
 NOWHERE = ("--connect", "tcp/127.0.0.1:1")
 FIRST, SECOND = "4646676700771206", "4646676700771207"
 ARM = "deploy/planar16.yaml"
-
-
-@pytest.fixture
-def gateway(endpoint):  # noqa: F811
-    with ExitStack() as stack:
-        yield Gateway(stack, endpoint)
 
 
 def test_jog_sends_all_actuators_in_one_request(hyperbit, gateway):

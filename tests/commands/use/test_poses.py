@@ -20,6 +20,10 @@ def test_a_pose_is_saved_sent_listed_and_removed(hyperbit, endpoint, tmp_path):
         "sweep: (0.5, 2.8), and 1 more waypoints",
         f"tilted: configuration {'0' * 15}2",
     ]
+    again = ("poses", "planar16", "--save", "sweep", *connect)
+    code, _, err = hyperbit(*again)
+    assert (code, "planar16 has a pose 'sweep' already" in err, "--replace" in err) == (1, True, True)
+    assert hyperbit(*again, "--replace")[0] == 0
     code, out, _ = hyperbit("send", "planar16", "--pose", "home", *connect, "--json")
     assert (code, json.loads(out.splitlines()[-1])["configuration"]) == (0, "0" * 16)
     code, _, err = hyperbit("send", "planar16", "--pose", "tilt", *connect)

@@ -149,7 +149,7 @@ def test_a_file_without_regions_is_unusable_input(hyperbit, tmp_path):
 def test_a_missing_daemon_fails_with_a_message(hyperbit, words):
     code, _, err = hyperbit(*words, "--connect", "tcp/127.0.0.1:1")
     assert code == 1
-    assert "no daemon at tcp/127.0.0.1:1" in err
+    assert "nobody listens at tcp/127.0.0.1:1" in err
     assert "Next: start it by: hyperbit run ARM.yaml" in err
 
 
@@ -189,3 +189,11 @@ def test_a_goal_right_after_a_lock_is_planned_around_it(hyperbit, endpoint):
     assert hyperbit("lock", *words, "5.left=free", "--no-wait") == (0, "no actuator is locked\n", "")
     with connected("planar16", endpoint, None) as client:
         demo.wait_until_ready(client)
+
+
+@pytest.mark.parametrize("command", ["stop", "reset", "cancel"])
+@pytest.mark.parametrize("name", ["*", "a/b", "**"])
+def test_what_is_no_name_of_an_arm_is_refused(hyperbit, command, name):
+    code, out, err = hyperbit(command, name)
+    assert (code, out) == (2, "")
+    assert f"'{name}': no name of an arm: 1 to 64 letters, digits, _ and - are needed" in err

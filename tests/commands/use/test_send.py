@@ -59,8 +59,11 @@ def test_send_takes_waypoints_in_a_csv_file(hyperbit, endpoint, tmp_path):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("x,y,t\n0.5,2.8,soon\n", "line 2: t is a time [s], got 'soon'"),
-        ("x,y\n0.5,far\n", "line 2: '0.5,far' is no goal; X,Y or X,Y,TH is needed, 2 or 3 numbers"),
+        ("x,y,t\n0.5,2.8,soon\n", "line 2: t [s]: a number is needed, got 'soon'"),
+        ("x,y\n0.5,far\n", "line 2: a number is needed, got 'far'"),
+        ("x,y\n0,3,2,8\n", "line 2: 2 fields are needed, got 4; a number has a decimal point"),
+        ('x,y\n"0,3",2.8\n', "line 2: a number is needed, got '0,3'; write a decimal point: 0.3"),
+        ("x,y,th\n0.5,2.8,-50\n", "got '-50'; in radians, -50 degrees are -0.8727"),
         ("x,y,previous\n0.5,2.8,0\n", "columns x,y are needed, th and t are optional"),
     ],
 )

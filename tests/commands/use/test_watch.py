@@ -14,9 +14,9 @@ from rich.console import Console
 from hyperbit.controller.commands.connection import connected
 from hyperbit.controller.commands.operate import demo
 from hyperbit.controller.commands.use.fleet import line_of_arm
-from hyperbit.controller.commands.use.watch import View, line_of
+from hyperbit.controller.commands.use.watch import View, line_of, progress_of
 from hyperbit.controller.network.fleet import ArmAddress, ArmStatus
-from tests.gateway.conftest import endpoint as private_endpoint  # noqa: F401
+from tests.endpoints import free_endpoint
 
 INTERLOCK = {"code": "interlock", "message": "interlock gate is open"}
 STUCK = {"code": "stuck", "message": "actuator 2.1 did not move"}
@@ -66,7 +66,7 @@ def test_fleet_names_the_arms_that_have_a_daemon(hyperbit, endpoint):
 def test_fleet_without_a_daemon_fails_with_a_message(hyperbit):
     code, out, err = hyperbit("fleet", "--connect", "tcp/127.0.0.1:1")
     assert (code, out) == (1, "")
-    assert "no daemon at tcp/127.0.0.1:1" in err
+    assert "nobody listens at tcp/127.0.0.1:1" in err
 
 
 def test_watch_prints_changes_as_lines_in_a_pipe(hyperbit, endpoint):
@@ -95,6 +95,13 @@ def test_a_fault_that_is_the_reason_of_the_mode_is_printed_once():
     assert line_of(ready) == f"ready: holding; tip (unknown); {stuck}"
 
 
+def test_the_progress_of_a_goal_is_told():
+    progress = {"waypoints": 5, "reached": 2, "begins": 95.0, "ends": 103.2}
+    assert progress_of({"stamp": 100.0, "progress": progress}) == "2 of 5 waypoints, 3.2 s left"
+    assert progress_of({"stamp": 104.0, "progress": progress}) == "2 of 5 waypoints, 0.8 s late"
+    assert progress_of({"stamp": 100.0, "progress": None}) == progress_of(STATE) == ""
+
+
 @pytest.mark.parametrize(
     ("labels", "shown"), [(["1.1", "1.2", "2.left", "2.right"], "▯▮ ?▮"), ([], "▯▮?▮")], ids=["labels", "none"]
 )
@@ -117,11 +124,12 @@ def test_watch_shows_whole_numbers_of_overruns(endpoint, hyperbit):
     assert ", 3 overruns" in console.export_text()
 
 
-def test_states_that_arrive_at_the_end_of_a_list_cause_no_message(private_endpoint):  # noqa: F811
-    arms = subprocess.Popen([sys.executable, "-c", ARMS, private_endpoint], stdin=subprocess.PIPE)
+def test_states_that_arrive_at_the_end_of_a_list_cause_no_message():
+    endpoint = free_endpoint()
+    arms = subprocess.Popen([sys.executable, "-c", ARMS, endpoint], stdin=subprocess.PIPE)
     assert arms.stdin is not None
     with arms, arms.stdin:
-        command = [sys.executable, "-c", LISTS, private_endpoint]
+        command = [sys.executable, "-c", LISTS, endpoint]
         listed = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert (listed.returncode, listed.stderr) == (0, "")
     rows = {" ".join(line.split()) for line in listed.stdout.splitlines()}

@@ -39,11 +39,7 @@ def test_a_full_bus(shared, rpdos, load):
 
 
 def test_each_bus_has_its_own_boards_and_bit_rate():
-    buses = (
-        BusWiring("a", "virtual", "a", 250_000),
-        BusWiring("b", "virtual", "b"),
-        BusWiring("c", "virtual", "c"),
-    )
+    buses = (BusWiring("a", "virtual", "a", 250_000), BusWiring("b", "virtual", "b"), BusWiring("c", "virtual", "c"))
     channels = Channel("1", "a", 1, 0, None), Channel("2", "b", 1, 0, 0), Channel("3", "b", 1, 9, 9)
     layout = lay_out(Wiring(buses, channels))
     a, b, c = (worst_case(layout, TIMING, bus) for bus in buses)

@@ -55,10 +55,7 @@ class World(Hardware):
         self.new_master()
         self.after(0.0, self._tick)
 
-    # --- the master
-
     def new_master(self) -> None:
-        """Replaces the master by a new one, with open buses."""
         self.use(Master(self.wiring, self.timing, self.send))
         for name, bus in self.buses.items():
             self.master.receive_event(BusChanged(name, bus.state, "", None), self.now)
@@ -103,8 +100,6 @@ class World(Hardware):
             self.master.receive_event(event, self.now)
             self._collect()
 
-    # --- what a test gives
-
     def say(self, cob_id: int, data: bytes = b"", bus: str = "can0") -> None:
         self.buses[bus].from_other(Frame(cob_id, data))
 
@@ -142,8 +137,6 @@ class World(Hardware):
 
         while not taken():
             self.run(TICK)
-
-    # --- what comes out
 
     def frames(self, bus: str = "can0", sdo: bool = False) -> list[tuple[int, str]]:
         """Returns COB-ID and data of the frames since the last call, without heartbeats, and without SDO by default."""
@@ -184,7 +177,6 @@ class World(Hardware):
 
 @functools.cache
 def answering(variant: Variant, latency: float) -> Variant:
-    """Returns a variant whose SDO answers take a time longer [s]."""
     return replace(variant, answer_delay=variant.answer_delay + latency)
 
 

@@ -93,7 +93,6 @@ class Injection:
     """Causes one failure on a rig.
 
     Attributes:
-        struck: whether the failure has happened.
         event: a failure between two frames that has happened, and is not mended.
     """
 
@@ -146,7 +145,6 @@ def _is_segment(frame: Frame) -> bool:
 
 
 def failures(log: Iterable[tuple[str, Frame]]) -> Iterator[Failure]:
-    """Yields all failures of a boot with these frames."""
     frames = list(log)
     requests = [frame for sender, frame in frames if is_request(sender, frame)]
     for kind in SDO_KINDS:

@@ -74,10 +74,7 @@ class Rig:
         self._pins = 0
         self.board.power_on(0.0)
 
-    # --- time
-
     def run(self, seconds: float) -> None:
-        """Runs for a time [s]."""
         self.until(lambda: False, seconds)
 
     def until(self, condition: Callable[[], object], longest: float) -> bool:
@@ -102,8 +99,6 @@ class Rig:
                 if self.master is not None and not self.stalled:
                     self.master.tick(self.now)
         return True
-
-    # --- the executor
 
     def start_master(self) -> Master:
         self.master = Master(self.wiring, self.timing, self._from_master)
@@ -142,8 +137,6 @@ class Rig:
         if self.master is not None:
             self.master.receive_event(BusChanged(BUS, state, "", None), self.now)
 
-    # --- the board and other programs
-
     @property
     def lines(self) -> int:
         """Levels of the output lines that the pins have."""
@@ -161,8 +154,6 @@ class Rig:
         self._look("supply", "")
         self.board.power_on(self.now)
         self._look("supply", "")
-
-    # --- the bus
 
     def _from_master(self, bus: str, frame: Frame) -> None:
         if not self.off:

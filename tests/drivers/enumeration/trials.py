@@ -48,7 +48,6 @@ class Verdict(NamedTuple):
         energised: number of changes that energised a coil or a foreign output without a commit, except by another
             program, by the supply, or as `on_loss` says.
         moved: number of changes by the master of pins that hold on loss.
-        ready: whether the board is ready at the end.
         broken: sentences on broken invariants, also those of `started` and `energised`.
     """
 
@@ -101,7 +100,6 @@ def run(trial: Trial) -> Verdict:
 
 
 def _boot(rig: Rig, injection: Injection, trial: Trial) -> Iterator[str]:
-    """Boots once; yields broken invariants."""
     master, found = rig.master, _picture(rig)
     assert master is not None
     struck = injection.struck

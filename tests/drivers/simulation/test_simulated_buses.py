@@ -19,7 +19,7 @@ START, SYNC = Frame(0x000, b"\x01\x00"), Frame(0x080, b"")
 EXTEND_BOTH = Frame(0x205, b"\x03" + bytes(7))
 SPARE = 7 * "00"  # bytes of a TPDO that carry no input of these boards
 SETTINGS = [  # SDO downloads: RPDO on SYNC, TPDO on change
-    *(Frame(0x605, bytes.fromhex(text)) for text in ("2f 00 14 02 01 00 00 00", "2f 05 60 00 01 00 00 00")),
+    *(Frame(0x605, bytes.fromhex(text)) for text in ("2f 00 14 02 01 00 00 00", "2f 05 60 00 01 00 00 00"))
 ]
 
 
@@ -104,6 +104,7 @@ def test_a_command_is_answered_and_help_names_all_verbs(rig):
     assert fault_commands.play(rig.buses, " silence  can1/5\n") == "done: silence can1/5"
     told = fault_commands.play(rig.buses, "help")
     assert all(f"  {verb} " in told for verb in fault_commands.VERBS)
+    assert len(told) < 1000, "an executor sends no longer answer"
 
 
 def test_names_that_are_not_there_are_refused_with_those_that_are(rig):

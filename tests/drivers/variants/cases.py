@@ -134,14 +134,8 @@ CASES = (
     Case("kept-loss-without-history"),
     Case("inverted-outputs", ("has FFh in 6202h sub 1 (polarity of the outputs); FCh is needed",)),
     Case("masked-inputs"),
-    Case(
-        "standing-error",
-        ("error register 1001h sub 0 is 80h; 00h is needed", "1003h sub 1 is 0000FF00h", "FF00h"),
-    ),
+    Case("standing-error", ("error register 1001h sub 0 is 80h; 00h is needed", "1003h sub 1 is 0000FF00h", "FF00h")),
     Case("generic-error", ("error register 1001h sub 0 is 01h; 00h is needed", "1003h sub 1 is 00001000h")),
-    Case(
-        "blocking-error",
-        (IN_VAIN, "error register 1001h sub 0 is 01h; 00h is needed", "1003h sub 1 is 00005000h"),
-    ),
+    Case("blocking-error", (IN_VAIN, "error register 1001h sub 0 is 01h; 00h is needed", "1003h sub 1 is 00005000h")),
 )
 UNSEEN_WITHOUT_WRITING = frozenset({"no-sync", "deaf-error-mode"})  # `check --bus` writes present values only

@@ -28,7 +28,6 @@ def lost(on_loss: str, variant: str) -> World:
 
 @functools.cache
 def asked(on_loss: str, variant: str) -> tuple[tuple[int, int], ...]:
-    """Returns the objects that a boot reads or writes."""
     world = lost(on_loss, variant)
     world.frames(sdo=True)
     assert boot(world) == []

@@ -16,7 +16,6 @@ all_cases = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 
 
 def booted(case: Case) -> World:
-    """A world after the boot, successful or not."""
     return boot(case.world())
 
 

@@ -27,19 +27,9 @@ from hyperbit.controller.program import (
 )
 from hyperbit.drivers.canopen.faults import ArmFault
 from tests.executor.fake_master import FakeMaster
-from tests.executor.rig import OPERATOR, OTHER, SIZE, Rig, ready, small_arm
+from tests.executor.rig import OPERATOR, OTHER, SIZE, Rig, small_arm
 
 A, B = 0b000111, 0b011100
-
-
-@pytest.fixture
-def rig() -> Rig:
-    return ready()
-
-
-def answer(rig: Rig) -> tuple[bool, str]:
-    last = rig.last(Answer)
-    return last.accepted, last.message
 
 
 def test_a_planner_is_greeted_and_a_second_hears_who_is_there(rig: Rig) -> None:
@@ -151,9 +141,6 @@ def test_the_planner_hears_the_counts_before_each_result_and_at_the_end(rig: Rig
     assert rig.of(Counted) == [Counted((2, 2, 2, 0, 0, 0))]
 
 
-# --- reports
-
-
 def test_snapshots_come_20_times_a_second_and_on_change_and_diagnostics_every_second(rig: Rig) -> None:
     rig.heard.clear()
     rig.go(1)
@@ -175,11 +162,7 @@ def test_a_snapshot_fits_a_message_whatever_is_wrong(rig: Rig) -> None:
 
 def test_systemd_is_told_that_the_boards_are_simulated() -> None:
     core = Executor(
-        small_arm(),
-        SwitchJournal(SIZE),
-        instance=7,
-        simulation=PlayableFaults((), (), (), ()),
-        build_master=FakeMaster,
+        small_arm(), SwitchJournal(SIZE), instance=7, simulation=PlayableFaults((), (), (), ()), build_master=FakeMaster
     )
     notified = [action.text for action in core.step(ExecutorTick(), 0.0) if isinstance(action, Notify)]
     assert "STATUS=starting (simulated): the boards are being booted" in notified

@@ -147,3 +147,14 @@ def test_a_second_request_ends_the_contraction() -> None:
 def test_actuators_whose_contracting_output_goes_on_without_the_executor_are_in_the_warning() -> None:
     rig = ready(channel={"output_off": True}, sensed=0, on_loss="contract")
     assert warnings(rig) == [TOLD]
+
+
+def test_the_executor_ends_after_the_travel_of_a_switch_that_has_contracted_the_arm() -> None:
+    rig = extended(contract_on_stop=True)
+    rig.run(0)
+    rig.go(TRAVEL / 2)
+    assert (rig.states, rig.core.motion.moving) == (0, True)
+    rig.do(Quit())
+    assert not rig.core.ended
+    rig.go(TRAVEL)
+    assert (rig.core.ended, rig.core.motion.moving) == (True, False)

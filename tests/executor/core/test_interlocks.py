@@ -17,17 +17,13 @@ def rig() -> Rig:
     return ready(interlocks=(STOP, AIR))
 
 
-def codes(rig: Rig) -> list[tuple[str, str]]:
-    return [(fault.code, fault.source) for fault in rig.snapshot.faults]
-
-
 def test_motion_ends_at_once_when_one_opens(rig: Rig) -> None:
     rig.run(1, 0, 1, 0)
     rig.go(2 * TICK)
     rig.master.inputs &= ~(1 << SIZE)
     rig.do(CAN)
     assert (rig.mode, rig.reason) == ("fault", OPEN)
-    assert codes(rig) == [("interlock", "stop (can0/9 input 0)")]
+    assert rig.faults == [("interlock", "stop (can0/9 input 0)")]
     rig.go(1.0)
     assert (rig.switched, rig.results) == ([1], [(1, "aborted")])
 
@@ -47,7 +43,7 @@ def test_reset_is_refused_while_one_is_open(rig: Rig) -> None:
     assert rig.mode == "fault", "that it is closed again is not enough"
     rig.send(Reset(3, rig.epoch))
     rig.go(0.1)
-    assert (rig.last(Answer).accepted, rig.mode, codes(rig)) == (True, "ready", [])
+    assert (rig.last(Answer).accepted, rig.mode, rig.faults) == (True, "ready", [])
 
 
 def test_an_interlock_that_is_open_at_the_start_is_a_fault() -> None:
@@ -62,7 +58,7 @@ def test_an_interlock_that_opens_while_the_arm_is_stopped_keeps_it_stopped(rig: 
     rig.send(Stop(1))
     rig.master.inputs &= ~(1 << SIZE)
     rig.go()
-    assert (rig.mode, codes(rig)) == ("stopped", [("interlock", "stop (can0/9 input 0)")])
+    assert (rig.mode, rig.faults) == ("stopped", [("interlock", "stop (can0/9 input 0)")])
     rig.send(Reset(2, rig.epoch))
     assert not rig.last(Answer).accepted
 
@@ -71,7 +67,7 @@ def test_an_interlock_of_a_lost_board_does_not_count_as_open(rig: Rig) -> None:
     rig.master.fail(LOST, lost=0b111111)
     rig.master.inputs = 0
     rig.go()
-    assert codes(rig) == [("board-lost", "can0/1")]
+    assert rig.faults == [("board-lost", "can0/1")]
 
 
 def test_locks_may_change_while_one_is_open(rig: Rig) -> None:

@@ -108,7 +108,6 @@ def test_whatever_happens(sequence: list[tuple[str, object]], inrush: int | None
 
 
 def check_switches(rig: Rig, inrush: int | None) -> None:
-    """Bounds of all that was committed."""
     times = [at for at, _ in rig.master.left]
     masks = [mask for _, mask in rig.master.left]
     assert all(mask.bit_count() <= (inrush or SIZE) for mask in masks)

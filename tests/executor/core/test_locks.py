@@ -2,28 +2,16 @@
 
 from typing import Any
 
-import pytest
-
 from hyperbit.controller.executor.core.modes import RETRY
-from hyperbit.controller.program import TICK, Answer, Declined, Ended, Lock, Replaced, Replacement, Settled, unpack
+from hyperbit.controller.program import TICK, Declined, Ended, Lock, Replaced, Replacement, Settled, unpack
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 
 A = 0b000111
 
 
-@pytest.fixture
-def rig() -> Rig:
-    return ready()
-
-
-def answer(rig: Rig) -> tuple[bool, str]:
-    last = rig.last(Answer)
-    return last.accepted, last.message
-
-
 def test_a_locked_actuator_is_switched_by_no_program(rig: Rig) -> None:
     rig.send(Lock(1, 0, 0))
-    assert answer(rig) == (True, "locked: 1.left (contracted)")
+    assert rig.answer == (True, "locked: 1.left (contracted)")
     assert (unpack(rig.snapshot.locked), rig.snapshot.locks) == (1, 1)
     assert [fault.code for fault in rig.snapshot.faults] == ["degraded"]
     rig.run(A)
@@ -33,7 +21,7 @@ def test_a_locked_actuator_is_switched_by_no_program(rig: Rig) -> None:
     rig.go(0.3)
     assert (rig.switched, rig.results) == ([A & ~1], [(2, "done")])
     rig.send(Lock(2, 0, -1))
-    assert answer(rig) == (True, "no actuator is locked")
+    assert rig.answer == (True, "no actuator is locked")
     rig.run(A)
     rig.go(0.3)
     assert rig.switched[-1] == A
@@ -41,12 +29,12 @@ def test_a_locked_actuator_is_switched_by_no_program(rig: Rig) -> None:
 
 def test_a_lock_is_refused_while_the_arm_moves_and_against_an_end_stop(rig: Rig) -> None:
     rig.send(Lock(1, 0, 1))
-    assert answer(rig) == (False, "state: the end-stop of 1.left reads contracted")
+    assert rig.answer == (False, "state: the end-stop of 1.left reads contracted")
     rig.send(Lock(1, SIZE, 1))
-    assert not answer(rig)[0]
+    assert not rig.answer[0]
     rig.run(A)
     rig.send(Lock(2, 0, 0))
-    assert "the arm is executing" in answer(rig)[1]
+    assert "the arm is executing" in rig.answer[1]
 
 
 def test_a_stuck_actuator_is_locked_and_the_arm_goes_on_if_its_file_says_so() -> None:

@@ -8,32 +8,11 @@ import pytest
 from hyperbit.controller.executor.core.modes import CLEARING, RETRY
 from hyperbit.controller.executor.motion.actuation import BUSY_FOR
 from hyperbit.controller.host.process import Quit
-from hyperbit.controller.program import (
-    TICK,
-    Answer,
-    Cancel,
-    Declined,
-    Ended,
-    Reset,
-    Stop,
-)
+from hyperbit.controller.program import TICK, Cancel, Declined, Ended, Reset, Stop
 from hyperbit.drivers.canopen.faults import ArmFault
-from tests.executor.rig import CAN, LOST, PLANNER, TRAVEL, Rig, ready
+from tests.executor.rig import CAN, LOST, PLANNER, TRAVEL, Rig
 
 A, B = 0b000111, 0b011100
-
-
-@pytest.fixture
-def rig() -> Rig:
-    return ready()
-
-
-def answer(rig: Rig) -> tuple[bool, str]:
-    last = rig.last(Answer)
-    return last.accepted, last.message
-
-
-# --- cancel, halt, reset
 
 
 def test_cancel_holds_and_begins_a_new_epoch(rig: Rig) -> None:
@@ -41,13 +20,13 @@ def test_cancel_holds_and_begins_a_new_epoch(rig: Rig) -> None:
     rig.run(A, B, number=2)
     rig.go(0.05)
     rig.send(Cancel(1, None, "canceled; the arm holds"))
-    assert answer(rig) == (True, "canceled")
+    assert rig.answer == (True, "canceled")
     assert rig.last(Ended).message == "canceled; the arm holds"
     assert (rig.mode, rig.reason) == ("ready", "holding; goal 2 was canceled")
     rig.send(old)
     assert rig.last(Declined).refused.reason.value == "overtaken"
     rig.send(Cancel(2, None, ""))
-    assert answer(rig) == (True, "there was no goal to cancel; the arm holds")
+    assert rig.answer == (True, "there was no goal to cancel; the arm holds")
     rig.go(0.5)
     assert rig.switched == [A]
 
@@ -56,7 +35,7 @@ def test_one_program_alone_is_canceled(rig: Rig) -> None:
     rig.run(A, B)
     epoch = rig.snapshot.epoch
     rig.send(Cancel(1, 7, "its path was left"))
-    assert (answer(rig)[1], rig.results) == ("program 7 is not running", [])
+    assert (rig.answer[1], rig.results) == ("program 7 is not running", [])
     rig.send(Cancel(2, 1, "its path was left"))
     assert (rig.last(Ended).message, rig.snapshot.epoch) == ("its path was left", epoch)
 
@@ -71,7 +50,7 @@ def test_a_halt_stays_until_reset(rig: Rig) -> None:
     rig.go(2 * TICK)
     assert rig.mode == "ready"
     rig.send(Reset(3, rig.epoch))
-    assert answer(rig) == (True, "nothing to reset: the arm is ready")
+    assert rig.answer == (True, "nothing to reset: the arm is ready")
     assert rig.switched == []
 
 
@@ -89,7 +68,7 @@ def test_a_reset_that_arrived_before_a_stop_is_refused_after_it(rig: Rig, bar: S
     earlier = rig.epoch
     rig.send(bar)
     rig.send(Reset(2, earlier))
-    assert (answer(rig)[0], rig.mode) == (False, "stopped")
+    assert (rig.answer[0], rig.mode) == (False, "stopped")
     rig.send(Reset(4, rig.epoch))
     assert rig.mode == "starting"
 
@@ -101,9 +80,6 @@ def test_a_program_that_comes_too_late_is_declined(rig: Rig) -> None:
     assert rig.switched == []
     rig.send(msgspec.structs.replace(rig.program(A), until=rig.now))
     assert rig.mode == "executing"
-
-
-# --- faults
 
 
 def test_a_fault_ends_the_program_and_waits_for_reset(rig: Rig) -> None:
@@ -212,9 +188,6 @@ def test_a_defect_is_a_fault_the_arm_holds_and_the_executor_goes_on(rig: Rig, ve
     rig.send(Reset(1, rig.epoch))
     rig.go(2 * TICK)
     assert rig.mode == "ready"
-
-
-# --- the end
 
 
 def test_at_the_end_the_program_has_its_result_and_nothing_more_is_taken(rig: Rig) -> None:

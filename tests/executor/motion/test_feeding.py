@@ -11,11 +11,6 @@ from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 A, B, C = 0b000111, 0b011100, 0b110000
 
 
-@pytest.fixture
-def rig() -> Rig:
-    return ready()
-
-
 def stage(states: int, at: float, mark: int = -1) -> Stage:
     return Stage(pack(states, SIZE), at=at, mark=mark, settled=at + TRAVEL + TICK)
 
@@ -33,9 +28,6 @@ def park(rig: Rig, generation: int, first: int, start: int, strict: bool = False
 
 def marked(*stages: tuple[int, float, int], strict: bool = False) -> dict:
     return {"stages": tuple(stage(*fields) for fields in stages), "strict": strict}
-
-
-# --- a planner that feeds no more
 
 
 def test_a_program_that_gets_no_further_stages_is_aborted(rig: Rig) -> None:
@@ -85,9 +77,6 @@ def test_a_halted_executor_does_not_count_against_the_planner(rig: Rig) -> None:
     rig.agenda.run(2 * FED_WITHIN)
     rig.go()
     assert (rig.mode, rig.results) == ("executing", [])
-
-
-# --- parking
 
 
 @pytest.mark.parametrize("strict", [False, True])

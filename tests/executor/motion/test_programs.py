@@ -25,11 +25,6 @@ from tests.executor.rig import MARGIN, SIZE, TRAVEL, Rig, ready
 A, B, C = 0b000111, 0b011100, 0b110000
 
 
-@pytest.fixture
-def rig() -> Rig:
-    return ready()
-
-
 def test_a_program_is_run_to_its_end(rig: Rig) -> None:
     program = rig.run(A, B, context=b"x")
     assert rig.last(Accepted) == Accepted(program.program, rig.now)

@@ -212,6 +212,7 @@ def test_a_pulse_with_an_unknown_sync_leaves_the_state_unknown() -> None:
     rig.master.back, rig.master.slow_sync = True, False
     rig.go(1.5)
     assert (rig.mode, unpack(rig.snapshot.homing)) == ("ready", 1)
+    assert rig.journal.counts == [0] * 6
 
 
 def test_the_arm_is_ready_with_a_pulse_longer_than_the_travel() -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from hyperbit.controller.program import Ended, Reset, Snapshot, unpack
 from hyperbit.drivers.canopen.wiring import NodeWiring
+from hyperbit.drivers.simulation.variants import STANDARD
 from tests.executor import rig
 from tests.executor.world import World, ready
 
@@ -84,7 +86,6 @@ def test_a_goal_whose_switches_were_read_back_is_verified() -> None:
 
 
 def deaf(world: World, board: str = "can0/1") -> None:
-    """The board takes no RPDO any more."""
     world.boards.board(board)._pdos.receive = lambda cob_id, data, now: False
 
 
@@ -124,3 +125,13 @@ def test_a_board_that_was_unplugged_during_its_pulse_leaves_its_actuators_unknow
     world.go(4.0)
     snapshot = world.last(Snapshot)
     assert (snapshot.mode, unpack(snapshot.known)) == ("ready", ALL & ~0b000001)
+
+
+def test_a_snapshot_in_which_a_board_is_unknown_tells_the_fault() -> None:
+    slow = replace(STANDARD, answer_delay=0.03)
+    world = ready(variants={"can0/1": slow}, sensed=0, channel={"output_off": True, "pulse": 0.02})
+    world.run(1, ALL)  # each pulse is over before it is read back; the third one is a fault
+    world.go(3.0)
+    assert [fault.code for fault in world.last(Snapshot).faults] == ["not-verified"]
+    without = [told for told in world.of(Snapshot) if ALL & ~(unpack(told.known) | unpack(told.homing))]
+    assert {told.mode for told in without} <= {"starting", "fault"}

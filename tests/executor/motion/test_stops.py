@@ -14,11 +14,6 @@ A, B = 0b000111, 0b011100
 STOPPED, CANCELED = "stopped; the arm holds until reset", "canceled"
 
 
-@pytest.fixture
-def rig() -> Rig:
-    return ready()
-
-
 def answers(rig: Rig) -> list[str]:
     return [answer.message for answer in rig.of(Answer)]
 

@@ -7,14 +7,9 @@ import pytest
 from hyperbit.controller.executor.motion.actuation import BUSY_FOR
 from hyperbit.controller.executor.motion.motion import ANSWER_WITHIN
 from hyperbit.controller.program import TICK, Clearance, Ended, Question, Replaced, Replacement, Stage, pack
-from tests.executor.rig import SIZE, TRAVEL, Rig, ready
+from tests.executor.rig import SIZE, TRAVEL, Rig
 
 A, B = 0b000111, 0b011100
-
-
-@pytest.fixture
-def rig() -> Rig:
-    return ready()
 
 
 def test_no_stage_is_skipped_or_begins_before_the_last_has_settled(rig: Rig) -> None:
@@ -135,9 +130,6 @@ def test_an_answer_does_not_count_for_the_next_program(rig: Rig) -> None:
     rig.master.busy = False
     rig.go()
     assert rig.switched == [A, A], "from the outputs, as it was planned"
-
-
-# --- set-points
 
 
 def test_a_set_point_is_followed_stage_by_stage(rig: Rig) -> None:

@@ -8,15 +8,6 @@ from tests.executor.rig import MARGIN, SIZE, TRAVEL, Rig, ready
 ALL = (1 << SIZE) - 1
 
 
-@pytest.fixture
-def rig() -> Rig:
-    return ready()
-
-
-def codes(rig: Rig) -> list[tuple[str, str]]:
-    return [(fault.code, fault.source) for fault in rig.snapshot.faults]
-
-
 def test_an_actuator_that_does_not_arrive_is_stuck_after_its_board_has_answered(rig: Rig) -> None:
     rig.master.stuck = 1
     rig.run(0b000111)
@@ -24,7 +15,7 @@ def test_an_actuator_that_does_not_arrive_is_stuck_after_its_board_has_answered(
     assert rig.mode != "fault"
     rig.go(4 * TICK)
     assert (rig.mode, rig.results) == ("fault", [(1, "aborted")])
-    assert codes(rig) == [("stuck", "1.left (can0/1 output 0)")]
+    assert rig.faults == [("stuck", "1.left (can0/1 output 0)")]
     assert "did not become extended within 0.08 s; its end-stop does not read extended" in rig.last(Ended).message
     assert {board for board, _ in rig.master.questions} == {0}
 
@@ -99,7 +90,7 @@ def test_one_that_moves_by_itself_is_a_fault(rig: Rig) -> None:
     rig.go()
     assert ([board for board, _ in rig.master.questions], rig.mode) == ([0], "ready")
     rig.go()
-    assert (rig.mode, codes(rig)) == ("fault", [("unexpected-motion", "1.diagonal (can0/1 output 1)")])
+    assert (rig.mode, rig.faults) == ("fault", [("unexpected-motion", "1.diagonal (can0/1 output 1)")])
 
 
 def test_one_that_moves_by_itself_is_a_fault_though_its_board_answers_late(rig: Rig) -> None:
@@ -109,7 +100,7 @@ def test_one_that_moves_by_itself_is_a_fault_though_its_board_answers_late(rig: 
     assert rig.mode == "ready"
     rig.master.answers = True
     rig.go()
-    assert codes(rig) == [("unexpected-motion", "1.diagonal (can0/1 output 1)")]
+    assert rig.faults == [("unexpected-motion", "1.diagonal (can0/1 output 1)")]
 
 
 def test_a_contact_that_bounces_is_no_fault(rig: Rig) -> None:
@@ -118,7 +109,7 @@ def test_a_contact_that_bounces_is_no_fault(rig: Rig) -> None:
         rig.go()
         rig.master.inputs ^= 0b000010
         rig.go(2 * TICK)
-    assert (rig.mode, codes(rig)) == ("ready", [])
+    assert (rig.mode, rig.faults) == ("ready", [])
     rig.run(ALL)
     rig.go(0.3)
     assert rig.results == [(1, "done")]
@@ -161,7 +152,7 @@ def test_one_with_two_end_stops_that_stays_at_its_start_is_stuck_there(direction
     rig.master.stuck = 1
     rig.run(direction)
     rig.go(0.2)
-    assert codes(rig) == [("stuck", "1.left (can0/1 output 0)")]
+    assert rig.faults == [("stuck", "1.left (can0/1 output 0)")]
     assert rig.reason.endswith(f"its end-stop still reads {reads}")
 
 
@@ -175,22 +166,12 @@ def test_one_with_two_end_stops_that_stays_between_them_is_stuck_there_also_afte
     assert rig.reason.endswith("it has left its contracted end, and neither end-stop reads")
     rig.send(Reset(1, rig.epoch))
     rig.go(0.3)
-    assert (rig.mode, codes(rig)) == ("fault", [("stuck", "1.left (can0/1 output 0)")])
+    assert (rig.mode, rig.faults) == ("fault", [("stuck", "1.left (can0/1 output 0)")])
     rig.master.halfway = 0
     rig.master.inputs |= 1
     rig.send(Reset(2, rig.epoch))
     rig.go(0.3)
     assert (rig.mode, rig.snapshot.faults) == ("ready", ())
-
-
-def test_a_retraction_that_sticks_is_found_by_the_end_stop_that_it_does_not_leave(rig: Rig) -> None:
-    rig.run(1)
-    rig.go(0.2)
-    rig.master.stuck = 1
-    rig.run(0)
-    rig.go(0.2)
-    assert codes(rig) == [("stuck", "1.left (can0/1 output 0)")]
-    assert rig.reason.endswith("did not become contracted within 0.08 s; its end-stop still reads extended")
 
 
 @pytest.mark.parametrize("late", [False, True])
@@ -206,6 +187,9 @@ def test_a_result_waits_until_the_old_end_stop_has_decided(rig: Rig, late: bool)
         rig.master.stuck, rig.master.inputs = 0, 0
     rig.go(0.2)
     assert rig.results == [(1, "done"), (2, "done" if late else "aborted")]
+    if not late:
+        assert rig.faults == [("stuck", "1.left (can0/1 output 0)")]
+        assert rig.reason.endswith("did not become contracted within 0.08 s; its end-stop still reads extended")
 
 
 def test_a_retraction_takes_its_travel_time_though_its_end_stop_has_opened(rig: Rig) -> None:
@@ -254,10 +238,10 @@ def test_both_end_stops_at_once_are_a_fault_of_their_own_after_the_board_was_ask
     assert rig.mode != "fault"
     rig.master.answers = True
     rig.go(2 * TICK)
-    assert (rig.mode, codes(rig)) == ("fault", [("end-stops", "1.left (can0/1 output 0)")])
+    assert (rig.mode, rig.faults) == ("fault", [("end-stops", "1.left (can0/1 output 0)")])
     rig.send(Reset(1, rig.epoch))
     rig.go(0.2)
-    assert (rig.mode, codes(rig)) == ("fault", [("end-stops", "1.left (can0/1 output 0)")])
+    assert (rig.mode, rig.faults) == ("fault", [("end-stops", "1.left (can0/1 output 0)")])
     rig.master.inputs &= ~far(0)
     rig.send(Reset(2, rig.epoch))
     rig.go(0.2)
@@ -280,7 +264,7 @@ def test_leaving_an_end_unasked_is_a_fault(lines: int, words: str) -> None:
     rig = ready(channel=BOTH)
     rig.master.inputs = rig.master.inputs & ~far(0) | lines
     rig.go(2 * TICK)
-    assert codes(rig) == [("unexpected-motion", "1.left (can0/1 output 0)")]
+    assert rig.faults == [("unexpected-motion", "1.left (can0/1 output 0)")]
     assert words in rig.reason
 
 
@@ -320,10 +304,10 @@ def test_an_actuator_that_was_stuck_and_is_used_again_is_found_again() -> None:
     rig.run(0b000111)  # its output need not change for that
     rig.go(0.2)
     assert (rig.mode, rig.results[-1]) == ("fault", (2, "aborted"))
-    assert codes(rig) == [("stuck", "1.left (can0/1 output 0)")]
+    assert rig.faults == [("stuck", "1.left (can0/1 output 0)")]
     rig.send(Reset(2, rig.epoch))
     rig.go(0.2)
     rig.master.stuck = 0
     rig.master.inputs |= 1  # it comes loose, and arrives
     rig.go(0.1)
-    assert codes(rig) == [("unexpected-motion", "1.left (can0/1 output 0)")]
+    assert rig.faults == [("unexpected-motion", "1.left (can0/1 output 0)")]

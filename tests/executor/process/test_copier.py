@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import pytest
 from hyperbit.controller.executor.process import journal_file
 from hyperbit.controller.executor.process.journal_file import PAGE, FileJournal, shared_path
 from hyperbit.controller.host.keeper import FileInUse, lock_file
+from tests.waiting import eventually
 
 LABELS = [f"1.{k}" for k in range(11)]
 OFTEN, NEVER = 0.02, 1e6  # [s] between two copies
@@ -61,15 +62,6 @@ def bench(path: Path) -> Iterator[Bench]:
     bench = Bench(path, OFTEN)
     yield bench
     bench.journal.close()
-
-
-def eventually(holds: Callable[[], Any]) -> Any:
-    """Waits for a condition, for a minute at most."""
-    deadline = time.monotonic() + 60
-    while not (found := holds()):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    return found
 
 
 def after_power_failure(path: Path) -> list[int]:

@@ -15,13 +15,7 @@ from tests.executor.rig import PLANNER, SIZE, small_arm
 
 
 class Loop:
-    """An event loop on a clock of the test, which can stand still.
-
-    Attributes:
-        now: time [s].
-        boards: in this process.
-        snapshots: of the executor.
-    """
+    """An event loop on a clock of the test, which can stand still."""
 
     def __init__(self) -> None:
         self.arm, self.now = small_arm(), 50.0
@@ -48,7 +42,6 @@ class Loop:
 
     @property
     def faults(self) -> set[str]:
-        """Codes of all faults so far."""
         return {fault.code for snapshot in self.snapshots for fault in snapshot.faults}
 
     def _do(self, event: Any) -> None:

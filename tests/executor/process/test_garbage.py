@@ -21,7 +21,6 @@ def garbage() -> Iterator[Garbage]:
 
 
 def left(count: int) -> list[weakref.ref[Cycle]]:
-    """Leaves cycles behind."""
     return [weakref.ref(Cycle()) for _ in range(count)]
 
 

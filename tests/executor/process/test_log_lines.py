@@ -12,8 +12,6 @@ LONG = "x" * 10_000
 
 
 class Pipe:
-    """A logger on a pipe, and what was read of it."""
-
     def __init__(self) -> None:
         self.reading, self.writing = os.pipe()
         os.set_blocking(self.reading, False)

@@ -13,11 +13,7 @@ from hyperbit.drivers.canopen.wiring import BusWiring
 
 
 class Opening:
-    """What opening an interface ends with.
-
-    Attributes:
-        error: raised by `open`.
-    """
+    """What opening an interface ends with."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.error: BusError = BusError("can0: no such interface")

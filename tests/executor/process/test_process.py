@@ -52,14 +52,7 @@ class Process:
         arm = patient_copy(Path(DEPLOY) / "planar16.yaml", folder)
         if not simulate:  # an interface has one executor, and other tests may run one
             arm.write_text(arm.read_text().replace("channel: can0", f"channel: none{os.getpid()}"))
-        arguments = [
-            sys.executable,
-            "-m",
-            "hyperbit.controller.cli",
-            "execute",
-            str(arm),
-            *["--simulate"] * simulate,
-        ]
+        arguments = [sys.executable, "-m", "hyperbit.controller.cli", "execute", str(arm), *["--simulate"] * simulate]
         self.process = subprocess.Popen(
             [*arguments, "--socket", str(folder), "--journal", str(folder / "journal"), *options],
             stdin=subprocess.PIPE,
@@ -75,8 +68,6 @@ class Process:
 
 
 class Planner:
-    """A connection to the executor."""
-
     def __init__(self, path: Path) -> None:
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.socket.settimeout(60)
@@ -91,7 +82,6 @@ class Planner:
         self.socket.send(encode(message))
 
     def wait(self, kind: type, holds: Any = lambda message: True) -> Any:
-        """Waits for a message of a kind that meets a condition."""
         while True:
             message = decode_up(self.socket.recv(MOST_BYTES))
             if isinstance(message, kind) and holds(message):

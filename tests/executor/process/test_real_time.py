@@ -44,7 +44,6 @@ def locked() -> int:
 
 
 def leave_real_time() -> None:
-    """Returns to normal scheduling and unlocks the memory."""
     ctypes.CDLL(None).munlockall()
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

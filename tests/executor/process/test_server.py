@@ -34,6 +34,7 @@ from hyperbit.controller.program import (
     decode_up,
     encode,
 )
+from tests.clock import Clock
 
 TELEMETRY = Diagnostics(0.0, {}, [], [], "off", tuple(range(3000)), 0, 0)
 
@@ -153,18 +154,9 @@ def test_floods_of_many_clients_share_what_one_poll_takes(server: ExecutorServer
         assert [sum(event.client == each for event in heard) for each in {e.client for e in heard}] == [30] * 8
 
 
-class Clock:
-    """A time that the test sets [s]."""
-
-    now = 50.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 @pytest.fixture
 def clock() -> Clock:
-    return Clock()
+    return Clock(50.0)
 
 
 @pytest.fixture

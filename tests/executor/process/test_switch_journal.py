@@ -171,7 +171,6 @@ def test_a_disk_that_fails_at_the_end_leaves_the_file_in_memory(
 
 
 def restarted(journal: FileJournal, path: Path) -> list[int]:
-    """Ends a journal in order and returns the counts that the next one reads."""
     journal.close()
     journal = FileJournal(path, LABELS)
     counts = journal.counts[:3]

@@ -12,7 +12,14 @@ from numpy.testing import assert_allclose
 
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.motion.decoding import goal as module
-from hyperbit.controller.motion.decoding.goal import GoalRules, parse, parse_quickly, parse_strictly, schedule
+from hyperbit.controller.motion.decoding.goal import (
+    GoalRules,
+    check_reach,
+    parse,
+    parse_quickly,
+    parse_strictly,
+    schedule,
+)
 from hyperbit.controller.motion.stages.pacing import Pace
 from hyperbit.controller.motion.trajectory import MOST_POINTS, Trajectory
 from hyperbit.controller.refusals.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP
@@ -102,7 +109,8 @@ REFUSED = {
     "spatial": (one(position=[1, 2, 3]), r"waypoints\[0\]\.position: 3 coordinates, this arm's positions have 2"),
     "quaternion in the plane": (one(orientation=[0, 0, 0, 1]), r"\[0\]\.orientation: a planar arm's orientation is an"),
     "text for an orientation": (one(orientation="up"), r"\[0\]\.orientation: Expected `float \| array \| null`"),
-    "orientation beyond all bounds": (one(orientation=1e9), r"\[0\]\.orientation: Expected `float` <= 1000000"),
+    "orientation beyond all bounds": (one(orientation=1e9), r"Expected `float` <= 12.5664 .*; in radians$"),
+    "orientation in degrees": (one(orientation=-50), r"orientation: .* in radians, -50 degrees are -0\.8727$"),
     "orientation along lines": (
         goal(waypoints=[{"position": [0.5, 2.9], "orientation": 0.1}], path_tolerance=0.1),
         r"waypoints\[0\]\.orientation: lines are followed by position only, leave out path_tolerance",
@@ -264,3 +272,10 @@ def test_the_reason_of_a_refusal_is_not_looked_for_until_it_is_read(
     assert sought == []
     assert str(refused.value)
     assert sought == [payload]
+
+
+@pytest.mark.parametrize("name", ["tolerance.position", "path_tolerance"])
+def test_a_tolerance_that_every_tip_keeps_is_refused(name: str) -> None:
+    wrong = {"tolerance": {"position": 9}} if name == "tolerance.position" else {"path_tolerance": 9}
+    with pytest.raises(Refusal, match=f"{name}: 9, but all tips are within 8 of each other; check its unit"):
+        check_reach(parse(goal(waypoints=[{"position": [1, 2]}], **wrong)), (0.0, 0.0), 4.0, 0.002)

@@ -17,7 +17,6 @@ POST = (0.29, 1.675)
 
 
 def never() -> bool:
-    """A search without an end."""
     return False
 
 

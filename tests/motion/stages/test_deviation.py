@@ -14,7 +14,6 @@ def transition(manipulator: Manipulator, seed: int) -> tuple[np.ndarray, np.ndar
 
 
 def away(point: np.ndarray, line: np.ndarray) -> float:
-    """Distance of a point from the nearest of many points on the line."""
     parts = np.linspace(0, 1, 20_001)[:, None]
     return float(np.linalg.norm(point - line[0] - parts * (line[1] - line[0]), axis=1).min())
 

@@ -38,11 +38,7 @@ class _Finder(importlib.abc.MetaPathFinder):
 
 
 def plant(name: str, path: str, source: str) -> None:
-    """Makes the next import of a module take another source.
-
-    Raises:
-        RuntimeError: the module is loaded already.
-    """
+    """Makes the next import of a module take another source."""
     if name in sys.modules:
         raise RuntimeError(f"{name} is already imported: no defect can be planted in it")
     sys.meta_path.insert(0, _Finder(name, path, source))

@@ -10,16 +10,9 @@ from hyperbit.controller.panel.access.access import Access
 from hyperbit.controller.panel.access.people import Person, PersonEntry, digest_of, read_people
 from hyperbit.controller.panel.access.sessions import MOST_OF_PERSON
 from hyperbit.controller.panel.access.wrong_tokens import FIRST_DELAY, FREE, LONGEST_DELAY, WrongTokens
+from tests.clock import Clock
 
 ANNA = PersonEntry("anna", "operator", digest_of("a"))
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 def test_sessions_end(tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ from tests.panel.conftest import OPERATOR, OTHER, VIEWER, Site
 
 
 def filled(people: list[tuple[str, str]], role: places.Role) -> Places:
-    """Returns places after each person tried to open a page at an address."""
     filling = Places()
     for name, address in people:
         if filling.refusal(place := PagePlace(Person(name, role), address)) is None:

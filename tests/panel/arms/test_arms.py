@@ -11,7 +11,6 @@ from tests.waiting import eventually
 
 
 def come(site: Site, *names: str) -> list[Any]:
-    """Declares the liveliness tokens of arms."""
     liveliness = site.daemon._session.liveliness()
     tokens = [liveliness.declare_token(f"hyperbit/{name}/alive") for name in names]
     views = site.panel.arms.views
@@ -20,7 +19,6 @@ def come(site: Site, *names: str) -> list[Any]:
 
 
 def go(site: Site, tokens: list[zenoh.LivelinessToken]) -> None:
-    """Removes the liveliness tokens."""
     for token in tokens:
         token.undeclare()
     eventually(lambda: sum(view.alive for view in site.panel.arms.views.values()) == 1)

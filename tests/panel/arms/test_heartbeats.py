@@ -4,14 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hyperbit.controller.panel.arms.heartbeats import KEPT, LONGEST, Heartbeats
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def __call__(self) -> float:
-        return self.now
+from tests.clock import Clock
 
 
 @given(

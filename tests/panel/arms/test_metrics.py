@@ -9,7 +9,14 @@ from starlette.applications import Starlette
 from starlette.routing import Route
 from starlette.testclient import TestClient
 
-from hyperbit.controller.panel.arms.metrics import MOST_ACTUATORS, MOST_KINDS, Counters, endpoint, exposition
+from hyperbit.controller.panel.arms.metrics import (
+    MOST_ACTUATORS,
+    MOST_KINDS,
+    STATUSES,
+    Counters,
+    endpoint,
+    exposition,
+)
 
 FAULT = {"code": "board-lost", "source": "can0/3", "message": 'board "can0/3"\nis lost'}
 STATE = {"mode": "fault", "faults": [FAULT, FAULT], "degraded": [{"actuator": "5.left", "state": 0}]}
@@ -41,6 +48,12 @@ def read(*arms: Arm, counters: Counters | None = None) -> dict[tuple[str, ...], 
     text = exposition(arms, counters or Counters()).decode()
     samples = [sample for family in text_string_to_metric_families(text) for sample in family.samples]
     return {(sample.name, *sample.labels.values()): sample.value for sample in samples}
+
+
+def test_counters_begin_with_0_before_the_first_event() -> None:
+    found = read(Arm())
+    assert found["hyperbit_goals_total", "a", "succeeded"] == found["hyperbit_goals_total", "a", "aborted"] == 0.0
+    assert found["hyperbit_faults_total", "a", "board-lost"] == 0.0
 
 
 def test_metrics_agree_with_the_messages_of_arms() -> None:
@@ -77,7 +90,8 @@ def test_metrics_agree_with_the_messages_of_arms() -> None:
     }
     assert {key: found.get(key) for key in expected} == expected
     assert ("hyperbit_board_heartbeat_age_seconds", "a", "can0/3") not in found
-    assert not [key for key in found if "b" in key[1:] and key[0] != "hyperbit_alive"]
+    counted = ("hyperbit_alive", "hyperbit_goals_total", "hyperbit_faults_total")
+    assert not [key for key in found if "b" in key[1:] and key[0] not in counted]
     assert any(name == "hyperbit_build_info" for name, *_ in found)
 
 
@@ -95,7 +109,7 @@ def test_few_series() -> None:
     for k in range(3 * MOST_KINDS):
         counters.result("a", {"status": f"status {k}"})
     found = read(Arm("a", True, STATE, {"counts": [1] * many}, [str(k) for k in range(many)]), counters=counters)
-    assert sum(key[0] == "hyperbit_goals_total" for key in found) == MOST_KINDS + 1
+    assert sum(key[0] == "hyperbit_goals_total" for key in found) == len(STATUSES) + MOST_KINDS + 1
     assert sum(key[0] == "hyperbit_switches_total" for key in found) == 0
     assert found["hyperbit_arm_switches_total", "a"] == many
 

@@ -5,14 +5,7 @@ import json
 
 from hyperbit.controller.panel.access.people import Person
 from hyperbit.controller.panel.arms.pages import Page, RateLimit
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def __call__(self) -> float:
-        return self.now
+from tests.clock import Clock
 
 
 def test_an_allowance_fills_again() -> None:

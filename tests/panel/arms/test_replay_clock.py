@@ -2,21 +2,14 @@
 
 from hyperbit.controller.panel.arms.arm_history import ArmHistory
 from hyperbit.controller.panel.arms.replay_clock import ReplayClock
+from tests.clock import Clock
 from tests.panel.conftest import Site
 
 LINE = {"begin": 1000.0, "end": 1100.0, "at": 1010.0, "speed": 2.0, "paused": False}
 
 
-class Clock:
-    def __init__(self) -> None:
-        self.now = 5.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 def test_the_time_of_a_replay_follows_its_timeline() -> None:
-    clock = Clock()
+    clock = Clock(5.0)
     replay = ReplayClock(clock)
     replay.hear(LINE)
     clock.now += 3.0
@@ -32,7 +25,7 @@ def test_the_time_of_a_replay_follows_its_timeline() -> None:
 
 
 def test_the_history_of_a_replay_that_is_moved_back_ends_there() -> None:
-    clock = Clock()
+    clock = Clock(5.0)
     history = ArmHistory(clock)
     history.goal("a", 1)
     clock.now = 10.0
@@ -63,7 +56,7 @@ def test_goals_that_end_in_a_skipped_part_of_a_replay_do_not_stay_running() -> N
 
 
 def test_a_goal_that_was_skipped_runs_again_when_the_replay_is_moved_back() -> None:
-    clock = Clock()
+    clock = Clock(5.0)
     history = ArmHistory(clock)
     history.goal("a", 1)
     clock.now = 50.0

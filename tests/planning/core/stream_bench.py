@@ -38,14 +38,12 @@ class StreamBench(PlayedCore):
         self.show()
 
     def put(self, payload: Any, sender: str = "") -> None:
-        """Takes a set-point."""
         self.numbers += 1
         arrival = Arrival(self.numbers, self.now - self.delay)
         self.stream.receive_setpoint(SetpointArrived(json.dumps(payload).encode(), arrival, sender))
         self.first = self.first or self.stream._ticket
 
     def step(self) -> None:
-        """Ends a step of the core."""
         self.steps += 1
         self.stream.consider()
 
@@ -67,7 +65,6 @@ class StreamBench(PlayedCore):
         return self.task(FollowSetpoint)
 
     def found(self, number: int, stages: tuple[bytes, ...] = (), note: str = "", found: bool = True) -> None:
-        """Answers a search."""
         self.answer(number, Followed(stages, note, found, 0.004))
         self.step()
 

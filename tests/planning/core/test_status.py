@@ -36,8 +36,6 @@ TICK = 0.001  # [s] of the simulated clock
 
 
 class StatusBench(PlayedCore):
-    """The status of an arm that the test plays."""
-
     def __init__(self, arm: Arm, tracker: TrackerSettings | None = None) -> None:
         super().__init__(arm)
         tip_bias = None if tracker is None else TipBiasEstimator(self.parts, self.locks, tracker)
@@ -58,14 +56,12 @@ class StatusBench(PlayedCore):
         self.status.report()
 
     def run(self, seconds: float) -> None:
-        """Lets time pass without a change."""
         for _ in range(round(seconds / TICK)):
             if self.now >= self.status.due:
                 self.report(changed=False)
             self.advance(TICK)
 
     def published(self, key: str) -> list[Any]:
-        """Returns the payloads of a key since the last call."""
         kept, payloads = self.take(Publish), list[Any]()
         for action in kept:
             if action.key == key:
@@ -78,9 +74,6 @@ class StatusBench(PlayedCore):
 @pytest.fixture
 def bench(small: Arm) -> StatusBench:
     return StatusBench(small)
-
-
-# --- payloads
 
 
 def test_the_state_of_an_arm_at_rest(bench: StatusBench) -> None:
@@ -128,6 +121,7 @@ def test_the_running_goal_is_told(bench: StatusBench) -> None:
     bench.show(mode="executing")
     state = bench.state()
     assert (state["goal"], state["waypoint"], state["target"]) == ("a", 1, target)
+    assert state["progress"] == {"ends": pytest.approx(bench.wall - bench.now)}
 
 
 def test_locked_actuators_are_told_by_the_planner_only(bench: StatusBench) -> None:
@@ -228,9 +222,6 @@ def test_the_tip_bias_is_told_if_there_is_a_tracker(small: Arm) -> None:
     assert bench.diagnostics()["tracker"]["received"] == 0
 
 
-# --- publication
-
-
 def test_states_come_without_a_change_and_diagnostics_once_a_second(bench: StatusBench) -> None:
     bench.show()
     bench.run(3.0)
@@ -268,6 +259,13 @@ def test_faults_are_logged_once_with_their_fields(bench: StatusBench) -> None:
     assert (over.level, over.text) == (logging.INFO, "board-lost at can0/3 is over")
     assert begun.fields["HYPERBIT_BOARD"] == over.fields["HYPERBIT_BOARD"] == "3"
     assert begun.fields["MESSAGE_ID"] != over.fields["MESSAGE_ID"]
+
+
+def test_what_does_not_keep_the_arm_from_moving_is_logged_as_a_warning(bench: StatusBench) -> None:
+    bench.show(mode="fault", faults=(Fault("board-limits", "can0/3", "its heartbeat time is rounded"),))
+    bench.run(0.3)
+    (begun,) = bench.take(Log)
+    assert (begun.level, begun.text) == (logging.WARNING, "board-limits: its heartbeat time is rounded")
 
 
 def test_locks_are_logged_as_warnings_because_an_operator_may_want_them(bench: StatusBench) -> None:

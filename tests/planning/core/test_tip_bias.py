@@ -27,12 +27,10 @@ class BiasBench(PlayedCore):
         self.show()
 
     def measure(self, age: float = 0.01, **fields: Any) -> None:
-        """Takes a measured tip of some age [s]."""
         measured = {"position": (self.tip(0, 0, 0, 0) + OFFSET).tolist(), "stamp": self.wall - age}
         self.estimator.receive_tip(json.dumps({**measured, **fields}).encode())
 
     def refusal(self) -> str:
-        """Returns the refusal of the only measured tip."""
         status = self.estimator.status()
         assert (status["received"], status["accepted"], status["refused"]) == (1, 0, 1)
         return str(status["last_refusal"])

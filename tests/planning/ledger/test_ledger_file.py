@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from hyperbit.controller.host.keeper import FileInUse
 from hyperbit.controller.planning import ledger_file
 from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity
-from hyperbit.controller.planning.ledger import Ledger, LedgerInUse
+from hyperbit.controller.planning.ledger import Ledger
 from hyperbit.controller.planning.ledger_file import counted, default_path, owed, read
 from tests.planning.ledger.records import NAMES, REACHED, SOON, accepted, configuration_text, ended, statuses
 from tests.waiting import eventually
@@ -136,7 +137,7 @@ def test_one_process_has_the_ledger_and_a_killed_one_frees_it_and_loses_nothing(
     try:
         assert holder.stdout
         assert holder.stdout.readline() == "12\n"
-        with pytest.raises(LedgerInUse, match=f"in use by another daemon, process {holder.pid}"):
+        with pytest.raises(FileInUse, match=f"is in use by process {holder.pid}"):
             Ledger(path, NAMES)
     finally:
         holder.send_signal(signal.SIGKILL)

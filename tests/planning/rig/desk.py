@@ -42,14 +42,7 @@ from hyperbit.controller.planning.core.events import (
     Wake,
     refused,
 )
-from hyperbit.controller.planning.core.tasks import (
-    Answer,
-    BuildScene,
-    BuildTables,
-    Done,
-    Failed,
-    Task,
-)
+from hyperbit.controller.planning.core.tasks import Answer, BuildScene, BuildTables, Done, Failed, Task
 from hyperbit.controller.planning.planner import RequestDecoder
 from hyperbit.controller.program import (
     VERSION,
@@ -84,7 +77,6 @@ class DeskExecutor(PlayedExecutor):
         super().__init__(actuators)
 
     def greet(self, greatest: int = 0) -> None:
-        """Accepts the planner, and shows the arm."""
         self.send(
             Welcome(VERSION, "small", "d" * 64, self.instance, (0,) * self.actuators, greatest, self._desk.simulation)
         )
@@ -104,8 +96,6 @@ class DeskExecutor(PlayedExecutor):
 
 
 class Inbox:
-    """What clients receive, in order."""
-
     def __init__(self) -> None:
         self.payloads = deque[tuple[str, dict[str, Any]]]()
 
@@ -113,7 +103,6 @@ class Inbox:
         self.payloads.append((key, dict(payload)))
 
     def next(self, key: str) -> dict[str, Any]:
-        """Returns the next payload, and checks its key."""
         assert self.payloads, f"no {key} came"
         came, payload = self.payloads.popleft()
         assert came == key, f"{came} {payload} came where {key} was expected"
@@ -133,20 +122,15 @@ class Desk:
         inbox: answers, feedback and results.
         published: the latest `state` and `diagnostics`.
         entries: what the ledger has recorded.
-        logs: lines of the log.
         failures: sentences with which the process would have ended.
         held: kinds of tasks that are not answered, until `release`.
         failing: kinds of tasks that fail.
         storing: whether results are noted as published, and entries as recorded, at once.
-        workers: of the planner.
         delay: time that requests have waited before they reach the core [s].
 
     Args:
-        arm: the arm.
-        densities: of it.
         published: results that were published before, by program.
         owed: goals that earlier planner processes accepted.
-        simulation: simulated boards of the executor.
     """
 
     def __init__(
@@ -176,8 +160,6 @@ class Desk:
         self.executor = DeskExecutor(self, len(arm.manipulator.actuators))
         self._waiting = list[Action]()  # publications and records that are held back
 
-    # --- the shell
-
     def post(self, *events: Event) -> None:
         """Has the core handle events, and all that follows from them."""
         self._events.extend(events)
@@ -200,11 +182,9 @@ class Desk:
         self.settle()
 
     def quit(self) -> None:
-        """Asks the process to end."""
         self.post(Quit())
 
     def drop(self, reason: str = "the executor closed the connection") -> None:
-        """Closes the connection, like an executor that dies."""
         self.post(LinkDown(reason))
 
     def settle(self) -> None:
@@ -272,8 +252,6 @@ class Desk:
             self.entries.append(("+".join(kinds), action))
             self._events.append(Recorded(action.entry))
 
-    # --- the workers
-
     def _answer(self, number: int, task: Task) -> None:
         answers = list(self._answers(task))
         self._queued.pop(number)
@@ -288,8 +266,6 @@ class Desk:
             yield refusal.data
         except Exception as error:
             yield Failed(repr(error))
-
-    # --- clients
 
     def ask(self, key: Any, payload: Any = None, name: str = "reply") -> int:
         """Sends a request as the gateway does; its answer comes to the inbox by `name`. Returns its number."""
@@ -309,7 +285,6 @@ class Desk:
         return self._numbers
 
     def setpoint(self, payload: bytes, number: int, sender: str = "") -> None:
-        """Sends a set-point, which has arrived as this number."""
         self.post(SetpointArrived(payload, Arrival(number, self.now - self.delay), sender))
 
     def goal(self, *configurations: tuple[int, ...], step: float = 0.2, name: str = "a", **fields: Any) -> None:
@@ -328,12 +303,10 @@ class Desk:
         return pack(self.bits(*configuration), len(self.arm.manipulator.actuators))
 
     def state(self) -> dict[str, Any]:
-        """Returns the present payload of `state`."""
         self.settle()
         return dict(self.published["state"])
 
     def diagnostics(self) -> dict[str, Any]:
-        """Returns the latest payload of `diagnostics`."""
         self.pass_time(1.1)
         return dict(self.published["diagnostics"])
 

@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -60,7 +60,6 @@ class ScriptedExecutor(PlayedExecutor):
         self._client.send(encode(message))
 
     def take(self) -> Down:
-        """Waits for the next message."""
         return self._messages.get(timeout=PATIENCE)
 
     def waiting(self) -> list[Down]:
@@ -70,10 +69,7 @@ class ScriptedExecutor(PlayedExecutor):
         with self._lock:
             super().show(**changes)
 
-    # --- the connection
-
     def drop(self) -> None:
-        """Closes the connection, like an executor that dies."""
         assert self._client is not None
         self._client.shutdown(socket.SHUT_RDWR)
 
@@ -118,43 +114,13 @@ class ScriptedExecutor(PlayedExecutor):
                     self._messages.put(message)
 
 
-class FakeLedger:
-    """Remembers what is recorded."""
-
-    fault: str | None = None
-    instance = 0
-
-    def __init__(self, actuators: int) -> None:
-        self.entries: list[tuple[Any, ...]] = []
-        self._known = (0,) * actuators
-
-    def accepted(self, number: int, goal: str, waypoints: int) -> None:
-        self.entries.append(("accepted", goal, waypoints))
-
-    def ended(
-        self, number: int, status: str, code: int, message: str, switches: int, accepted: Any | None = None
-    ) -> None:
-        self.entries.append(("ended", status, code, switches) if accepted is None else ("adopted", *accepted[::2]))
-
-    def counts(self, counts: Any) -> None:
-        self._known = tuple(counts)
-
-    def known(self) -> tuple[int, ...]:
-        return self._known
-
-
 class Inbox:
-    """Published payloads, in order; reading waits for the next."""
-
     def __init__(self) -> None:
         self._queue: queue.Queue[tuple[str, dict[str, Any]]] = queue.Queue()
         self._feedback = deque[dict[str, Any]]()  # that came before a reply, which waits for the ledger
 
     def put(self, key: str, payload: Any) -> None:
         self._queue.put((key, dict(payload)))
-
-    def replying(self, name: str = "reply") -> Callable[[Any], None]:
-        return lambda payload: self.put(name, payload)
 
     def next(self, key: str) -> dict[str, Any]:
         """Returns the next payload, and checks its key; feedback may come before a reply."""

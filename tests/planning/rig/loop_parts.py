@@ -18,7 +18,6 @@ class ScriptedCore:
 
     Attributes:
         script: actions of a kind of event, or a function of the event.
-        steps: events so far.
     """
 
     ended = False
@@ -45,7 +44,6 @@ class Remembering:
     """Remembers all calls of its methods; `broken` methods raise after that.
 
     Attributes:
-        calls: name and arguments of each call.
         faults: what `warnings` returns.
     """
 

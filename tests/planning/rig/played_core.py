@@ -23,8 +23,6 @@ T = TypeVar("T")
 
 
 class PlayedLocks:
-    """The executor's mode, and tables that the test sets."""
-
     def __init__(self, view: ExecutorView) -> None:
         self._view, actuators = view, len(view.manipulator.actuators)
         self.tables: Tables | None = Tables(1, b"\xff" * actuators)
@@ -59,6 +57,9 @@ class PlayedReport:
 class PlayedGoal:
     id: str
     report: PlayedReport
+
+    def progress(self, wall: float) -> dict[str, float]:
+        return {"ends": wall}
 
 
 @dataclass
@@ -119,7 +120,6 @@ class PlayedCore:
         return taken
 
     def task(self, kind: type[T]) -> tuple[int, T]:
-        """Returns the one task that was started, with its number."""
         ((number, task),) = self.take(Start)
         assert isinstance(task, kind)
         return number, task
@@ -128,10 +128,8 @@ class PlayedCore:
         self.jobs.answered(number, answer, True)
 
     def states(self, *configuration: int) -> bytes:
-        """Returns the packed actuator states of a configuration."""
         return packed(self.arm.manipulator.actuator_states(np.array(configuration)))
 
     def tip(self, *configuration: int) -> list[float]:
-        """Returns the tip's position in a configuration."""
         tip = self.arm.manipulator.tips([configuration])[0]
         return tip[: self.arm.manipulator.dimension, 3].tolist()  # type: ignore[no-any-return]

@@ -60,8 +60,6 @@ class PlayedExecutor(ABC):
     def waiting(self) -> Sequence[Down]:
         """Returns the messages that `take` has not returned yet."""
 
-    # --- messages of the planner
-
     def expect(self, kind: type[T], *passing: type[Any]) -> T:
         """Returns the next message and checks its kind; messages of kind `passing` are skipped."""
         while (message := self.take()) is not None:
@@ -71,10 +69,7 @@ class PlayedExecutor(ABC):
         raise AssertionError(f"no {kind.__name__} came")
 
     def nothing(self, kind: type[Any]) -> bool:
-        """Whether no message of a kind has come."""
         return not any(isinstance(message, kind) for message in self.waiting())
-
-    # --- messages of the executor
 
     def show(self, **changes: Any) -> None:
         """Sends a snapshot; an integer sets `outputs`, and the measured states as well."""
@@ -100,7 +95,6 @@ class PlayedExecutor(ABC):
         self.send(Declined(program.program, Refused(reason, facts)))
 
     def run(self, program: Program, stage: int, switches: int = 1, measured: bytes | None = None) -> None:
-        """Carries out a stage of a program, and settles its mark if it has one."""
         states = program.stages[stage]
         self.send(Begun(program.program, stage, switches))
         self.show(outputs=states.states, measured=measured or states.states)
@@ -109,7 +103,6 @@ class PlayedExecutor(ABC):
             self.send(Settled(program.program, states.mark, at, self.state.known, switches, 1, True))
 
     def end(self, program: Program, status: Any = "done", message: str = "done", **fields: Any) -> Ended:
-        """Sends the result of a program."""
         self._results += 1
         ended = Ended(
             self._results,

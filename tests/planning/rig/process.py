@@ -21,9 +21,6 @@ class RunningPlanner:
     """A planner that runs until `close`, or until `vanish`.
 
     Attributes:
-        planner: as the gateway uses it.
-        state: the latest payload of `state`.
-        diagnostics: the latest payload of `diagnostics`.
         failures: sentences with which the process would have ended.
     """
 
@@ -61,8 +58,6 @@ class RunningPlanner:
         self.planner.loop.request(
             self.planner.loop.arrive(), key, message, lambda answer: self._inbox.put(name, answer)
         )
-
-    # --- what is published
 
     def publish(self, key: Any, payload: Any) -> None:
         if key == "feedback":

@@ -33,14 +33,11 @@ from hyperbit.controller.workspace.densities import Densities
 
 
 class PromptWorkers:
-    """All workers of one arm."""
-
     def __init__(self, arm: Arm, densities: Densities) -> None:
         self._arm, self._densities, self._weights = arm, densities, arm.weights({})
         self._models = {kind: ArmModel(arm, kind) for kind in ("goals", "queries", "setpoints")}  # type: ignore[arg-type]
 
     def perform(self, task: Task) -> Iterator[Any]:
-        """Yields the answers to a task."""
         match task:
             case ImprovePlan():
                 yield from improve(self._models["goals"], task, lambda: None)

@@ -35,13 +35,10 @@ def nothing() -> None:
 
 
 def abandoned() -> None:
-    """A task is no longer needed."""
     raise Abandoned
 
 
 class Bench:
-    """An arm, and the parts of its tasks."""
-
     def __init__(self, arm: Arm, densities: Densities, locked: bytes | None = None) -> None:
         self.arm, self.densities, self.model = arm, densities, ArmModel(arm, "goals")
         self.actuators = len(arm.manipulator.actuators)
@@ -52,7 +49,6 @@ class Bench:
         self.free = self.scene()
 
     def scene(self, *discs: Disc) -> VersionedScene:
-        """The scene of discs, each with its centre and radius, of the next generation."""
         regions = [{"disc": {"centre": centre, "radius": radius}} for centre, radius in discs]
         obstacles = decode_obstacles(json.dumps({"regions": regions}).encode(), 2)
         return build_scene(self.arm, BuildScene(next(self._generations), obstacles)).scene
@@ -103,8 +99,6 @@ def bench(small: Arm, small_densities: Densities) -> Bench:
 
 @pytest.fixture
 def make_bench(read: Callable[[Any], Arm]) -> Callable[[dict[str, Any]], Bench]:
-    """Builds a bench of another arm."""
-
     def make(document: dict[str, Any]) -> Bench:
         arm = read(document)
         return Bench(arm, map_densities(arm.reduced, arm.pixel, arm.level_pixels))

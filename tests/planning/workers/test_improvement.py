@@ -16,7 +16,6 @@ PATH = [A, B, C, A, (2, 2, 1, 0), (5, 1, 4, 0), B, C]
 
 @pytest.fixture
 def hasty(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Planned:
-    """A plan in haste, which can be improved."""
     monkeypatch.setattr(computations, "PLANNING_TIME", 0.0)
     message = bench.goal(*(bench.tip(*c) for c in PATH), tolerance={"position": 0.05})
     return plan_goal(bench.model, bench.task(A, message=message), nothing)

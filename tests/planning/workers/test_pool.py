@@ -34,8 +34,6 @@ from tests.waiting import PATIENCE, eventually
 
 
 class Core:
-    """Takes what the workers post."""
-
     def __init__(self, bench: Bench) -> None:
         self.events: queue.SimpleQueue[Event] = queue.SimpleQueue()
         self.fatal: queue.SimpleQueue[str] = queue.SimpleQueue()

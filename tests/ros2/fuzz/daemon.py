@@ -16,8 +16,6 @@ CODES = {"succeeded": 0, "canceled": -1, "replaced": -1}
 
 
 class Daemon:
-    """Answers requests."""
-
     def __init__(self, chance: random.Random, clock: Clock, tell: Callable[[str, bytes], None]) -> None:
         self._chance, self._clock, self._tell = chance, clock, tell
         self.goal: str | None = None

@@ -58,16 +58,12 @@ JUNK = (
 
 
 class Input(NamedTuple):
-    """A message of ROS 2."""
-
     name: str
     payload: bytes
     attachment: bytes | None
 
 
 class Inputs:
-    """Makes inputs, always the same from one seed."""
-
     def __init__(self, chance: random.Random) -> None:
         self.chance = chance
         self.uuids = [chance.randbytes(16) for _ in range(UUIDS)]
@@ -77,7 +73,6 @@ class Inputs:
         self._daemon = {key: json.dumps(value).encode() for key, value in payloads().items()}
 
     def message(self, now: float) -> Input:
-        """Returns a message of ROS 2 at a UNIX time [s]."""
         chance = self.chance
         name = NAMES[int(chance.random() * len(NAMES))]
         payload = bytearray(chance.choice(self._pools[name]))

@@ -96,7 +96,6 @@ class World:
         self.judge.check_rest()
 
     def in_place(self) -> AbstractContextManager[None]:
-        """Puts clock, threads and network in the place of the true ones."""
         pool = lambda _, name: Pool(name, self.pools, lambda: self.trial)  # noqa: E731
         run_others = lambda: self.run_jobs(but=MOTION)  # noqa: E731
         return places.in_place(self.chance, self.clock, pool, run_others, lambda _: self._note("said"))
@@ -128,7 +127,6 @@ class World:
         self._waiting.append(("arm", json.dumps(payloads()["arm"]).encode(), True))
 
     def receive_messages(self, timeout: float) -> list[ReceivedMessage]:
-        """Delivers messages of ROS 2; returns those of the daemon."""
         if self._heard:
             key, data = self._heard.pop()
             self.judge.receive_told(key, data, sure=False)
@@ -150,7 +148,6 @@ class World:
         return [ReceivedMessage(0, key, data) for key, data, _ in taken]
 
     def _pass_turn(self) -> None:
-        """Delivers the messages of a turn, and runs jobs meanwhile."""
         if self._at_rest:
             self.judge.check_rest()
             self._at_rest, self.faulty = False, True

@@ -63,7 +63,6 @@ def asked(distribution: str, job: str, text: str = "") -> Any:
 
 
 def filled(desc: FieldDesc, types: Types, draw: random.Random) -> Any:
-    """Returns a random value of a field."""
     if desc[0] == Nodetype.NAME:
         entries = types.store.get_msgdef(desc[1]).fields
         return {name: filled(entry, types, draw) for name, entry in entries if name != PLACEHOLDER}

@@ -1,22 +1,20 @@
 """A router, and sessions of the wire on it."""
 
 import json
-import socket
 from collections.abc import Callable, Iterator
 
 import pytest
 import zenoh
 
 from hyperbit.controller.ros2.wire.session import Session
+from tests.endpoints import free_endpoint
 
 
 class Router:
     """A Zenoh session in mode router, in place of rmw_zenohd, which can be stopped and started again."""
 
     def __init__(self) -> None:
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        self.endpoint = free_endpoint()
         self.start()
 
     def start(self) -> None:
@@ -41,7 +39,6 @@ def router() -> Iterator[Router]:
 
 @pytest.fixture
 def connect(router: Router) -> Iterator[Callable[[], Session]]:
-    """Opens sessions of the wire, which are closed after the test."""
     opened: list[Session] = []
 
     def connect() -> Session:

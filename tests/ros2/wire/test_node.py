@@ -12,7 +12,6 @@ Connect = Callable[[], Session]
 
 
 def watched(session: Session) -> tuple[Node, list[str]]:
-    """A node with one endpoint of each kind, and what it tells."""
     node, told = Node(session, "bridge", "/arm"), list[str]()
     node.publisher("chatter", STRING)
     node.subscriber("goal", POSE, lambda received: None)

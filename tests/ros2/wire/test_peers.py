@@ -28,8 +28,6 @@ TOPICS = ("/joint_states", "/tf", "/diagnostics")
 
 
 class Peer:
-    """A process with a node of another implementation, and the lines that it has printed."""
-
     def __init__(self, package: str, endpoint: str) -> None:
         self.lines: list[list[Any]] = []
         self.errors: list[str] = []
@@ -73,7 +71,6 @@ class Peer:
 
 
 def lacking(package: str) -> str | None:
-    """Returns what a package lacks on this computer, or None."""
     if importlib.util.find_spec(package) is None:
         return f"{package} is not installed: pip install -e '.[ros2-test]'"
     if package == "zenoh_ros2_sdk":

@@ -11,12 +11,13 @@ import zenoh
 
 from hyperbit.controller.ros2.wire import qos
 from hyperbit.controller.ros2.wire.attachments import Attachment
-from hyperbit.controller.ros2.wire.cdr import HEADER, MOST_BYTES
+from hyperbit.controller.ros2.wire.cdr import HEADER, MOST_BYTES, deserialize
 from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.services import MOST_OPEN, NoReply, Request
 from hyperbit.controller.ros2.wire.session import NoRouter, Session
 from hyperbit.controller.ros2.wire.tokens import Kind
 from hyperbit.controller.ros2.wire.topics import Received
+from hyperbit.controller.ros2.wire.types import Types
 from tests.waiting import PATIENCE, eventually
 
 STRING, TRIGGER, JOINTS = "std_msgs/msg/String", "std_srvs/srv/Trigger", "sensor_msgs/msg/JointState"
@@ -152,7 +153,7 @@ def test_only_so_many_requests_are_open(connect: Connect) -> None:
     assert service.open == 0
 
 
-def test_requests_that_cannot_be_used_get_no_reply(connect: Connect) -> None:
+def test_requests_that_cannot_be_used_get_an_empty_reply(connect: Connect) -> None:
     def handle(request: Request) -> None:
         raise RuntimeError("of the handler")
 
@@ -161,9 +162,12 @@ def test_requests_that_cannot_be_used_get_no_reply(connect: Connect) -> None:
     other, topic = connect().zenoh, key(node, "trigger", TRIGGER)
     good = Attachment(1, 1, GID).data
     eventually(lambda: other.liveliness().get("@ros2_lv/**").recv())
-    for options in ({"payload": HEADER + b"\0"}, {"attachment": good}, {"payload": HEADER + b"\0", "attachment": good}):
-        assert not [reply for reply in other.get(topic, timeout=PATIENCE, **options) if reply.ok]
-    assert service.dropped == {"attachment": 1, "content": 1, "callback": 1}
+    assert not [reply for reply in other.get(topic, timeout=PATIENCE, payload=HEADER + b"\0") if reply.ok]
+    for payload in (b"", HEADER + b"\0", HEADER + bytes(MOST_BYTES)):
+        [reply] = other.get(topic, timeout=PATIENCE, payload=payload, attachment=good)
+        assert reply.ok
+        assert not deserialize(reply.ok.payload.to_bytes(), f"{TRIGGER}_Response", Types("jazzy")).success
+    assert service.dropped == {"attachment": 1, "content": 1, "callback": 1, "size": 1}
     assert service.open == 0
 
 

@@ -28,15 +28,6 @@ class BoardSide(AttachedBoards):
         silent: whether a board is disconnected from its bus.
         opened: names of the open interlocks.
         loses: a board and the function code of a frame, of which it loses the next one; None: it loses none.
-
-    Args:
-        wiring: buses, boards and actuators.
-        timing: times of boards and actuators.
-        variants: variants of boards by name.
-        agenda: time and events.
-        record: takes changes of outputs.
-        send: takes the frames of the boards.
-        judge: takes changes of outputs and end-stops.
     """
 
     def __init__(
@@ -77,7 +68,6 @@ class BoardSide(AttachedBoards):
         self._read = True
 
     def _read_ends(self) -> None:
-        """Tells the judge what the end-stops read."""
         extended = contracted = 0
         for k, (actuator, (has, has_contracted, inverted)) in enumerate(
             zip(self._actuators, self._levels, strict=True)
@@ -111,7 +101,6 @@ class BoardSide(AttachedBoards):
         return after
 
     def door(self, name: str, is_open: bool) -> None:
-        """Opens or closes an interlock."""
         super().fault("open" if is_open else "close", name)
         (self.opened.add if is_open else self.opened.discard)(name)
         self._record.doors(bool(self.opened))
@@ -150,7 +139,6 @@ class BoardSide(AttachedBoards):
         self.receive(bus, frame, FOREIGN_START if frame.data[:1] == bytes([Command.START]) else "fault")
 
     def fault(self, verb: str, name: str, *numbers: float | str) -> None:
-        """Causes or ends a fault of a board or an actuator."""
         if verb == "power_on" and self.simulated.board(name).state is not None:
             return
         if verb in LIES:
@@ -163,11 +151,9 @@ class BoardSide(AttachedBoards):
         self.silent = any(self.simulated.board(board).silent for board in self.names)
 
     def emergency(self, board: str, code: int) -> None:
-        """Makes a board send an emergency."""
         self.simulated.board(board)._send_emergency(code.to_bytes(2, "little") + bytes([1, 0, 0, 0, 0, 0]))
 
     def mend(self) -> None:
-        """Ends all faults."""
         for board in self.names:
             if self._mute(board):
                 self.fault("power_cut", board)

@@ -13,18 +13,7 @@ from tests.simulation.agenda import Agenda
 
 
 class AttachedBoards:
-    """All boards of an arm, with power.
-
-    Attributes:
-        simulated: boards and actuators, to be read; `fault` changes them.
-
-    Args:
-        wiring: buses, boards and actuators.
-        timing: times of boards and actuators.
-        variants: variants of boards by name.
-        agenda: time and events.
-        send: takes the frames of the boards.
-    """
+    """All boards of an arm, with power."""
 
     def __init__(
         self,
@@ -47,7 +36,6 @@ class AttachedBoards:
         """
 
     def receive(self, bus: str, frame: Frame, cause: str = "frame", belongs_to: object = None) -> None:
-        """Takes a frame from a bus."""
         self.simulated.step(self._agenda.now)
         self.see("time")
         self.simulated.receive(bus, frame, self._agenda.now)
@@ -55,14 +43,12 @@ class AttachedBoards:
         self._set_timer()
 
     def fault(self, verb: str, name: str, *numbers: float | str) -> None:
-        """Causes or ends a fault of a board, an actuator or an interlock."""
         self.step()
         perform(self.simulated, verb, name, *numbers)
         self.see("fault")
         self._set_timer()
 
     def step(self) -> None:
-        """Advances boards and actuators to the present time."""
         self.simulated.step(self._agenda.now)
         self.see("time")
         self._set_timer()

@@ -51,12 +51,7 @@ class BusModel:
         echo_owed: whether the echoes of a command and of the heartbeats after it were lost.
 
     Args:
-        name: of the bus.
-        bitrate: [bit/s].
-        agenda: time.
-        random: for loss, duplication and delays.
         to_boards: takes a frame of the executor when it has left, what it belongs to, and whether the boards lose it.
-        to_executor: takes an event.
     """
 
     def __init__(
@@ -76,11 +71,11 @@ class BusModel:
         self.log: list[Frame] | None = None
         self._agenda, self._random = agenda, random
         self._to_boards, self._to_executor = to_boards, to_executor
-        self._at_rpdo: Callable[[], None] = lambda: None
+        self._at_rpdo: list[Callable[[], None]] = []
         self._at_sync: Callable[[], None] = lambda: None
         self._queue: deque[OnItsWay] = deque()  # of the executor; the first ones are in the mailboxes
         self._others: deque[Frame] = deque()
-        self._echoes_to_lose = 0  # of the next RPDOs
+        self._echoes_to_lose, self._loses_syncs = 0, False  # of the next RPDOs or SYNCs
         self.echo_lost_at = -1e12
         self.echo_owed = self._command_unknown = False
         self._on_wire: OnItsWay | Frame | None = None  # of the executor, or of a board
@@ -88,7 +83,7 @@ class BusModel:
     @property
     def healthy(self) -> bool:
         """Whether frames of the executor are sent at once."""
-        return self._connected and self.capacity == CAPACITY
+        return self._sends and self.capacity == CAPACITY
 
     @property
     def _connected(self) -> bool:
@@ -107,8 +102,9 @@ class BusModel:
         if self.room is not None:
             self.room -= 1
         if split(frame.id)[0] in RPDOS:
-            happen, self._at_rpdo = self._at_rpdo, lambda: None
-            happen()
+            due, self._at_rpdo = self._at_rpdo, []
+            for happen in due:
+                happen()
         if frame.id == SYNC:
             happen, self._at_sync = self._at_sync, lambda: None
             happen()
@@ -122,7 +118,6 @@ class BusModel:
         self.begin()
 
     def from_board(self, frame: Frame) -> None:
-        """Takes a frame of a board."""
         function = split(frame.id)[0]
         if self.mute and function == SDO_ANSWER:
             return
@@ -134,11 +129,12 @@ class BusModel:
         else:
             self.from_other(frame)
 
-    # --- faults and their ends
-
     def at_next_rpdo(self, happen: Callable[[], None]) -> None:
         """Calls a function once, when the executor hands out an RPDO."""
-        self._at_rpdo = happen
+        self._at_rpdo.append(happen)
+
+    def await_no_rpdo(self) -> None:
+        self._at_rpdo.clear()
 
     def at_next_sync(self, happen: Callable[[], None]) -> None:
         """Calls a function once, when the executor hands out a SYNC."""
@@ -167,16 +163,14 @@ class BusModel:
         if self.state == "active":
             self._change("passive", "")
 
-    def lose_echo(self, count: int = 1) -> None:
-        """Loses the echoes of the next RPDOs."""
-        self._echoes_to_lose = count
+    def lose_echo(self, count: int = 1, sync: bool = False) -> None:
+        """Loses the echoes of the next RPDOs, or of the next SYNCs."""
+        self._echoes_to_lose, self._loses_syncs = count, sync
 
     def hear_answers(self) -> None:
-        """Ends the loss of SDO answers."""
         self.mute = False
 
     def restore(self) -> None:
-        """Ends all faults of the bus."""
         self.capacity, self.acknowledged = CAPACITY, True
         self.loss = self.duplication = self.answer_delay = 0.0
         self.room, self.stuck, self.echoes = None, False, True
@@ -189,8 +183,6 @@ class BusModel:
         self.state = state
         self._to_executor(BusChanged(self.name, state, why, (128, 0) if state == "passive" else None))
         self.begin()
-
-    # --- the wire
 
     def begin(self) -> None:
         """Puts the next frame on the wire if the wire is free."""
@@ -210,7 +202,6 @@ class BusModel:
         self._agenda.after(wire_bits(size) / self.bitrate, self._finish)
 
     def _finish(self) -> None:
-        """Delivers the frame on the wire."""
         on_wire, self._on_wire = self._on_wire, None
         lost = self._random.random() < self.loss
         twice = not lost and self._random.random() < self.duplication
@@ -219,8 +210,8 @@ class BusModel:
                 self._queue.appendleft(on_wire)  # it stays in the controller
         elif isinstance(on_wire, OnItsWay):
             self._note(on_wire.frame)
-            rpdo = split(on_wire.frame.id)[0] in RPDOS
-            loses = rpdo and self._echoes_to_lose > 0
+            lost_one = on_wire.frame.id == SYNC if self._loses_syncs else split(on_wire.frame.id)[0] in RPDOS
+            loses = lost_one and self._echoes_to_lose > 0
             self._echoes_to_lose -= loses
             heard = self.echoes and not loses
             self._note_echo(on_wire.frame, heard)

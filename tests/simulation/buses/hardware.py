@@ -18,17 +18,7 @@ class Hardware:
     """Buses and boards without faults.
 
     Attributes:
-        agenda: time and events.
-        buses: the buses by name.
-        boards: boards and actuators, to be read; `fault` changes them.
-        fault: causes or ends a fault of a board, an actuator or an interlock.
         lost: whether a frame of a board is lost.
-
-    Args:
-        wiring: buses, boards and actuators.
-        timing: times of boards and actuators.
-        to_executor: takes the events of the buses.
-        variants: variants of boards by name.
     """
 
     def __init__(
@@ -49,7 +39,6 @@ class Hardware:
 
     @property
     def now(self) -> float:
-        """Time [s]."""
         return self.agenda.now
 
     def _to_boards(self, bus: str, sent: OnItsWay, lost: bool) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from random import Random
 from typing import TYPE_CHECKING
 
@@ -26,22 +27,24 @@ KINDS = {
     **{"wires are cut": 0.3, "wires are shorted": 0.3, "door is opened": 4.0},
     **{"echoes are lost": 0.5, "foreign NMT": 0.5, "answers are lost": 0.5, "TPDO is lost": 0.5},
     **{"kill in mid boot": 0.4, "bus-off in mid boot": 0.4, "power-cycle in mid boot": 0.4},
-    **{"stop in mid commit": 0.8, "wires are loose": 20.0},
+    **{"stop in mid commit": 0.8, "wires are loose": 7.0},
 }
 
 
 DAEMON_KINDS = {
     **{"planner is restarted": 2.0, "both are killed": 1.0, "planner is slow": 0.8, "planner dies": 3.0},
+    **{"executor dies in motion": 2.0, "planner dies in motion": 2.0},
     **{
         "searches are late": 1.0,
         "searches fail": 0.8,
         "a search hangs": 0.02,
         "disk is full": 0.6,
-        "clock is set": 0.3,
+        "clock is set": 1.0,
         "clients read slowly": 0.5,
         "planner stands still": 0.4,
-        "network is lost": 0.4,
-        "searches err": 4.0,
+        "network is lost": 0.8,
+        "executor's socket is full": 1.5,
+        "searches err": 2.0,
     },
 }
 
@@ -55,7 +58,6 @@ class Trouble:
     """Causes a fault about once a second; each fault ends after a time.
 
     Attributes:
-        made: number of faults by kind.
         kinds: weights of the kinds; a world has only some of them.
     """
 
@@ -69,12 +71,10 @@ class Trouble:
         self._mean = random.choice([0.3, 1.0, 3.0])
 
     def begin(self) -> None:
-        """Starts to cause faults."""
         self._active, self._round = True, self._round + 1
         self._next(self._round)
 
     def end(self) -> None:
-        """Ends all faults."""
         self._active = False
         self._world.mend()
 
@@ -175,11 +175,14 @@ class Trouble:
                 self._break(kind, board, label)
 
     def _disturb(self, kind: str, daemon: Daemon) -> None:
-        """Causes a fault of the planner's processes, of its workers or its disk."""
         random, mood = self._random, daemon.mood
         match kind:
             case "planner is restarted":
                 daemon.end_in_order()
+            case "executor dies in motion":
+                self._in_motion(self._world.executor.kill)
+            case "planner dies in motion":
+                self._in_motion(daemon.die)
             case "both are killed":
                 daemon.die()
                 self._world.executor.kill_after(random.randint(0, 20))
@@ -208,14 +211,25 @@ class Trouble:
             case "network is lost":
                 daemon.lose_network(True)
                 self._later(3.0, lambda: daemon.lose_network(False))
+            case "executor's socket is full":
+                daemon.fill_socket(random.choice([0, 0, 1, 2, 5]))
+                self._later(random.choice([0.1, 0.5, 3.0]), daemon.drain_socket)
             case "clock is set":
                 daemon.set_clock()
+
+    def _ask_to_reset(self) -> None:
+        """Asks for a reset, as an operator does who does not see that a door is open."""
+        world = self._world
+        if world.daemon is not None:
+            world.daemon.clients.ask("reset")
+        elif world.planner.snapshot is not None and world.planner.connection.client is not None:
+            world.planner.ask_to_reset()
 
     def _at_strict_stages(self, happen: Callable[[], None]) -> None:
         """Lets something happen soon after the begin of each second stage that must be clear, until the calm."""
         turn = self._round
 
-        def consider() -> None:
+        def consider(bus: BusModel) -> None:
             if not self._active or turn != self._round:
                 return
             account = self._world.judge.account
@@ -223,11 +237,10 @@ class Trouble:
             strict |= account.stream is not None and account.stream.message.strict
             if strict and self._random.random() < 0.9:
                 self._world.agenda.after(self._random.uniform(0.0, 0.05), happen)
-            for bus in self._world.buses.values():
-                bus.at_next_rpdo(consider)
+            bus.at_next_rpdo(partial(consider, bus))
 
         for bus in self._world.buses.values():
-            bus.at_next_rpdo(consider)
+            bus.at_next_rpdo(partial(consider, bus))
 
     def _loosen(self) -> None:
         """Cuts the wires of an extended actuator for a moment, while its board answers late.
@@ -246,6 +259,18 @@ class Trouble:
         world.boards.fault("cut_wires", channel.actuator)
         self._later(1.0, lambda: world.boards.fault("restore_sensor", channel.actuator))
         self._later(1.0, bus.restore)
+
+    def _in_motion(self, happen: Callable[[], None]) -> None:
+        """Lets something happen once, soon after the next stage has begun."""
+        turn, delay = self._round, self._random.uniform(0.0, 0.2)
+        waits = [True]
+
+        def perform() -> None:
+            if self._active and turn == self._round and waits and waits.pop():
+                self._world.agenda.after(delay, happen)
+
+        for bus in self._world.buses.values():
+            bus.at_next_rpdo(perform)
 
     def _stop_in_mid_commit(self, bus: BusModel) -> None:
         """Keeps the frames of a commit in the controller for a while, and halts the arm."""
@@ -297,3 +322,4 @@ class Trouble:
             case "door is opened" if world.arm.wiring.interlocks:
                 world.boards.door("door", is_open=True)
                 self._later(2.0, lambda: world.boards.door("door", is_open=False))
+                self._later(0.5, self._ask_to_reset)

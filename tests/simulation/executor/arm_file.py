@@ -48,7 +48,6 @@ def judge_file(drawn: ExecutedArm, random: Random) -> None:
 
 
 def _fields(arm: ExecutedArm, real_time: int | None) -> dict[str, Any]:
-    """Returns the fields of an arm's file."""
     wiring, timing = arm.wiring, arm.timing
     fields: dict[str, Any] = {
         "name": arm.name,

@@ -50,22 +50,22 @@ def draw_arm(random: Random, whole: bool = False) -> ExecutedArm:
     """Returns an arm of 2..12 actuators on 1..4 boards and 1..2 buses.
 
     Args:
-        random: draws.
         whole: whether a whole daemon drives it; without it, fewer heartbeats take steps, and more arms contract.
     """
     rates = [125_000, 500_000, 1_000_000]  # [bit/s]
     buses = [BusWiring(name, "simulated", name, random.choice(rates)) for name in ("can0", "can1")]
-    del buses[random.choice([1, 1, 2]) :]
+    del buses[random.choice([1, 1, 2] if whole else [1, 2]) :]
     channels = []
-    for node in range(1, random.randint(1, 4) + 1):
+    for node in range(1, random.choice([1, 2, 3, 4] if whole else [1, 2, 2, 2, 3, 4]) + 1):
         bus = buses[node % len(buses)].name
         outputs = random.sample(range(12), random.randint(1, 3) + (node == 1))
         for output in outputs:
             end_stop = output if random.random() < 0.8 else None
             channels.append(Channel(f"{node}.{output}", bus, node, output, end_stop))
-    if random.random() < 0.8:
-        pulses = random.random() < 0.8
-        channels = [draw_kind(random, channel, pulses) for channel in channels]
+    often = 0.8 if whole else 0.9
+    if random.random() < often:
+        pulses = random.random() < often
+        channels = [draw_kind(random, channel, pulses, whole) for channel in channels]
     interlocks = draw_interlocks(random, [bus.name for bus in buses])
     used = {channel.bus for channel in channels} | {lock.bus for lock in interlocks}
     count = len(channels)
@@ -103,18 +103,24 @@ def draw_arm(random: Random, whole: bool = False) -> ExecutedArm:
     )
 
 
-def draw_kind(random: Random, channel: Channel, pulses: bool) -> Channel:
+def draw_kind(random: Random, channel: Channel, pulses: bool, whole: bool = False) -> Channel:
     """Returns a random kind of an actuator; its second output and input are 12 bits above the first ones."""
     paired, second = random.random() < 0.6, channel.output + 12
     fields: dict[str, Any] = {"input_contracted": second} if random.random() < 0.4 else {}
     inverted = {name for name in ("input", "input_contracted") if random.random() < 0.2}
     if paired:
         fields["output_off"] = second
+        if not (pulses or whole) and random.random() < 0.3:  # after a restart of the board nobody can know its state
+            fields["input"] = None
+            fields.pop("input_contracted", None)
         if pulses and random.random() < 0.7:
             fields["pulse"] = random.choice([0.02, 0.05, 0.2])
             if random.random() < 0.25:  # after a kill nobody can know its state
                 fields["input"] = None
                 fields.pop("input_contracted", None)
+            blind = fields.get("input", channel.input) is None and "input_contracted" not in fields
+            if blind and not whole:
+                fields["pulse"] = max(fields["pulse"], 0.05)  # it is read back also after some answers were lost
     elif random.random() < 0.2:
         inverted.add("output")
     if random.random() < 0.5:

@@ -19,14 +19,8 @@ class Connection:
 
     Attributes:
         client: the planner's connection; None if it has none.
-        sent: messages by kind.
 
     Args:
-        arm: name of the arm.
-        agenda: time.
-        random: for delays.
-        executor: at the other end.
-        hear: takes a message of the executor.
         awake_at: returns when the planner is awake to hear it [s].
     """
 
@@ -52,7 +46,6 @@ class Connection:
             self.client = self._greet("planner")
 
     def close(self) -> None:
-        """Closes the planner's end."""
         if self.client is not None:
             self._executor.hear(self.client, ClientGone(self.client))
         self.client = None
@@ -65,7 +58,6 @@ class Connection:
         self.sent["Stop"] += 1
 
     def send(self, message: Down) -> None:
-        """Sends a message of the planner."""
         client = self.client
         assert client is not None
         self.sent[type(message).__name__] += 1

@@ -5,10 +5,12 @@ from __future__ import annotations
 from random import Random
 
 from hyperbit.controller.executor.core.events import Event, FaultPlayed, Health, ToSimulation
-from hyperbit.controller.program import PlayableFaults
+from hyperbit.controller.program import FaultVerb, PlayableFaults
 
 BEAT = 0.4  # [s], the watchdog time of the simulated unit
-PLAYABLE = PlayableFaults((), ("can0/1",), ("can0",), ())
+VERB = FaultVerb("silence", "board", "", "the board sends nothing")
+PLAYABLE = PlayableFaults((VERB,), ("can0/1",), ("can0",), ())
+PLAYED = "done: it is played"
 
 
 class Habits:
@@ -18,16 +20,11 @@ class Habits:
         watchdog: systemd's watchdog time [s]; None without a watchdog.
         simulation: faults that can be played in the boards; None: the boards count as real.
         problem: what is wrong with the switch journal; None: nothing.
-        dropped: number of dropped messages.
-
-    Args:
-        random: draws.
-        simulated: whether the boards may count as simulated; a planner for real boards refuses such an executor.
     """
 
-    def __init__(self, random: Random, simulated: bool) -> None:
+    def __init__(self, random: Random) -> None:
         self.watchdog = random.choice([None, BEAT])
-        self.simulation = random.choice([None, PLAYABLE]) if simulated else None
+        self.simulation = random.choice([None, PLAYABLE])
         self.problem: str | None = None
         self.dropped = 0
         self._random = random
@@ -42,5 +39,5 @@ class Habits:
     def play(self, action: ToSimulation) -> FaultPlayed:
         """Returns whether a fault was played; the simulated boards of this world play none of them."""
         played = self._random.random() < 0.5
-        text = "done: it is played" if played else f"there is no fault {action.fault}"
+        text = PLAYED if played else f"there is no fault {action.fault}"
         return FaultPlayed(action.client, action.request, text, played)

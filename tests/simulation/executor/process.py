@@ -75,11 +75,6 @@ class ExecutorProcess:
         recorder: records the events of all processes; None: they are not recorded.
 
     Args:
-        arm: the arm.
-        agenda: time and events.
-        random: for delays.
-        buses: the buses by name.
-        witness: sees events and actions.
         habits: what the process does beside its core; None: nothing.
     """
 
@@ -109,8 +104,6 @@ class ExecutorProcess:
         self._next_tick = 0.0
         self._clients: set[ClientId] = set()
         self._actions_left: int | None = None
-
-    # --- its life
 
     def start(self) -> None:
         """Starts a process if none runs, and opens the buses."""
@@ -159,7 +152,6 @@ class ExecutorProcess:
             self._agenda.after(self._random.choice([0.05, 0.2, 1.0]), self.start)
 
     def quit(self) -> None:
-        """Asks the process to end in order."""
         if not self._quitting:
             self._quitting = self.core is not None
             self.post(Quit())
@@ -182,8 +174,6 @@ class ExecutorProcess:
         """Stalls the process for a time [s]."""
         self._awake_at = max(self._awake_at, self._agenda.now + seconds)
 
-    # --- its clients
-
     def connect(self, to_client: Callable[[ClientId, Up], None], dies: Callable[[], None]) -> None:
         """Sets the functions that take messages for clients, and the end of the process."""
         self._to_client, self._dies = to_client, dies
@@ -199,10 +189,7 @@ class ExecutorProcess:
         self.post(event)
         return True
 
-    # --- its event loop
-
     def post(self, event: Event) -> None:
-        """Queues an event for the process."""
         if self.core is not None:
             self._events.append(event)
             self._wake()

@@ -17,7 +17,6 @@ class Drawn:
     """A program that was sent, with the stages appended since.
 
     Attributes:
-        program: as it was sent.
         stages: all stages that the executor has accepted.
         begin: its zero of time [s].
         generation: of the last replacement.
@@ -35,7 +34,6 @@ class Drawn:
     sent: Replacement | None = None
 
     def answered(self, accepted: bool) -> None:
-        """Records the answer to the replacement that was sent."""
         message, self.sent = self.sent, None
         if message is not None and accepted:
             if not message.stages:

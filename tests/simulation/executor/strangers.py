@@ -35,14 +35,6 @@ class Strangers:
 
     Attributes:
         may_stop: whether operators among them stop the arm.
-
-    Args:
-        arm: name of the arm.
-        count: number of its actuators.
-        agenda: time.
-        random: draws.
-        executor: at the other end.
-        planner_connected: returns whether a planner is connected.
     """
 
     def __init__(

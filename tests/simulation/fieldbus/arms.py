@@ -43,8 +43,6 @@ SHARED = frozenset(  # variants that map dummies
 
 
 class Drawn(NamedTuple):
-    """A wiring with its boards."""
-
     wiring: Wiring
     timing: Timing
     variants: dict[str, Variant]
@@ -53,7 +51,16 @@ class Drawn(NamedTuple):
 
 UNSHARED = ("fixed-mapping", "fixed entries")  # variants that cannot map dummies: refused if they share an RPDO
 RICH = (  # variants with much to judge, drawn twice as often
-    *("many-outputs", "WAGO", "many without SYNC", "no-sync", "foreign objects in RPDO1", "outputs in two RPDOs"),
+    *(
+        "many-outputs",
+        "many-outputs",
+        "many-outputs",
+        "WAGO",
+        "many without SYNC",
+        "no-sync",
+        "foreign objects in RPDO1",
+        "outputs in two RPDOs",
+    ),
     *("COB-ID is taken", "fixed entries", "guarding-with-1029h", "kept-loss", "no-error-mode", "maker-object"),
     *("no-device-type", "many-profiles", "only outputs", "only inputs", "no SYNC", "no-error-behaviour"),
     *(
@@ -70,11 +77,11 @@ RICH = (  # variants with much to judge, drawn twice as often
 def draw(random: Random) -> Drawn:
     """Returns one to three boards on one or two buses."""
     buses = [BusWiring(name, "simulated", name, random.choice([500_000, 1_000_000])) for name in ("can0", "can1")]
-    del buses[random.choice([1, 1, 2]) :]
+    del buses[random.choice([1, 2]) :]
     shared = random.random() < 0.15
     places = [
         BoardId(buses[k % len(buses)].name, node)
-        for k, node in enumerate(random.sample([1, 2, 5, 9, 64, 126], random.choice([1, 1, 1, 2, 2, 3])))
+        for k, node in enumerate(random.sample([1, 2, 5, 9, 64, 126], random.choice([1, 1, 2, 2, 2, 3])))
     ]
     heartbeat = random.choice([0.02, 0.05, 0.1, 0.1, 0.1])
     falls, unfit = random.random() < 0.5, random.random() < 0.1  # whether outputs go off without the master

@@ -15,10 +15,6 @@ AT_ONCE = 0.03  # [s] until a change of a bus is told
 
 
 class BusFaults(FaultMaker):
-    """Makes faults of buses and of the executor."""
-
-    # --- buses
-
     def bus_is_down(self) -> Fault:
         return self._bus_fault(self._bus.go_down, "bus-down", ("is down",))
 
@@ -79,8 +75,6 @@ class BusFaults(FaultMaker):
 
         return Fault(self._bus.warn, mend, Expected((), within=0.05), check)
 
-    # --- the executor
-
     def executor_stands_still(self) -> Fault:
         long = self._timing.heartbeat_timeout * self._random.choice([1.3, 2.0])
         found: list[Any] = []
@@ -115,13 +109,10 @@ class BusFaults(FaultMaker):
         return Fault(cause, self._nothing, Expected((), within=0.2, calm=False))
 
     def _stall(self, seconds: float) -> None:
-        """Lets the executor stand still for a time [s]."""
         over: list[bool] = []
         self._site.stalled = True
         self._world.agenda.after(seconds, lambda: over.append(True))
         self._world.wait(lambda: over, 2 * seconds, "over")
-
-    # --- inputs
 
     def TPDO_is_lost(self) -> Fault | None:
         locks = [

@@ -29,7 +29,6 @@ HARDWARE_ERROR = 0x0606_0000
 
 
 def happen(world: BoardWorld, name: str) -> None:
-    """Changes one board."""
     random, board = world.random, world.site.board(name)
     kind = random.choice(
         ["objects"] * 4 + ["state"] * 3 + ["supply", "error", "refuses", "deaf", "silent", "outputs", "other", "other"]
@@ -121,7 +120,6 @@ def _deaf(world: BoardWorld, board: Any) -> None:
 
 
 def mend(world: BoardWorld) -> None:
-    """Ends all that makes a boot refuse a board."""
     for name in world.looks:
         board = world.site.board(name)
         board.objects.refused.clear()

@@ -1,64 +1,18 @@
-"""Commands that cannot be carried out, or are given up."""
+"""Commands that are given up, come too early, or change nothing."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hyperbit.drivers.canopen.faults import Busy
+from tests.simulation.fieldbus.command_maker import AT_ONCE, CommandMaker
 from tests.simulation.fieldbus.expected import Expected, Fault
-from tests.simulation.fieldbus.fault_maker import FaultMaker
-from tests.simulation.fieldbus.use import moves
+from tests.simulation.judge.fieldbus.wires import bits_in
 from tests.simulation.judge.verdict import require
 
-if TYPE_CHECKING:
-    from tests.simulation.fieldbus.world import BoardWorld
 
-AT_ONCE = 0.05  # [s] until a failure is told
-COMMITTED = 0.6  # [s] until a command must be over
-READ_BACK = 1.3  # [s] from a switch until outputs are read
-SHORT_PULSES = 3
-
-
-class CommandFaults(FaultMaker):
-    """Makes faults of one command."""
-
-    def __init__(self, world: BoardWorld) -> None:
-        super().__init__(world)
-        self._states = world.use.possible(
-            world.random.getrandbits(world.wiring.lines.bit_length()) & world.wiring.lines
-        )
-        self._before = world.switching.states
-        self._changed = self._before ^ self._states
-        self._fit = bool(self._changed) and not self._before & world.wiring.pulsed
-
-    def _commit(self, states: int) -> None:
-        self._site.call(lambda m: m.commit(states, self._world.agenda.now))
-
-    def _refused(self, states: int, why: type[Exception]) -> str:
-        try:
-            self._commit(states)
-        except why as error:
-            return str(error)
-        require(False, f"a command of {states:b} is not refused by {why.__name__}")
-        return ""
-
-    def _waits(self) -> bool:
-        """Returns whether all boards that the command switches wait for SYNC."""
-        names = [n for n, b in self._world.wiring.boards.items()]
-        return all(part.waits for name in names for part in self._world.switching.parts_of(name))
-
-    def _unswitched(self, *why: str) -> None:
-        """Requires that nothing has switched, and that the master says so."""
-        master = self._world.master
-        driven = self._world.switching.driven()
-        require(
-            driven == self._before,
-            f"the pins are {driven:b} after a command that was given up; {self._before:b} before",
-        )
-        failed = master.commit_failed
-        require(failed is not None and any(w in failed for w in why), f"the failure is {failed!r}, must be {why}")
-        require(not master.drain_switched(), "switches of a command that was given up are told")
-        require(master.outputs == self._before, f"outputs {master.outputs:b} are told; {self._before:b} are driven")
+class CommandFaults(CommandMaker):
+    """Makes faults of one command that the executor does not want, or must not have."""
 
     def command_is_given_up(self) -> Fault | None:
         if not (self._fit and self._waits()):
@@ -82,6 +36,82 @@ class CommandFaults(FaultMaker):
             switched = sum(mask for mask, _ in master.drain_switched())
             require(switched == self._changed, f"{switched:b} is told as switched, {self._changed:b} has")
 
+        return Fault(cause, lambda: world.use.release_quietly(), Expected((), within=AT_ONCE), check)
+
+    def command_is_given_up_that_waits_for_no_SYNC(self) -> Fault | None:
+        """Boards without SYNC still switch when their frames leave, all others hold."""
+        if not self._fit or self._waits():
+            return None
+        master, world = self._world.master, self._world
+        parts = [part for name in world.wiring.boards for part in world.switching.parts_of(name) if not part.waits]
+        at_once = sum(
+            wire.line
+            for name, board in world.wiring.boards.items()
+            for wire in board.outputs
+            if any(bits_in(p.mapping, board.base) >> wire.bit & 1 for p in parts if p.board.name == name)
+        )
+        leaving = at_once & self._changed
+        both = [p.board.name for p in parts]
+        if len(set(both)) < len(both) or world.drawn.wiring.shared_rpdo:
+            return None  # frames that wait and frames that do not may carry one board
+
+        def cause() -> None:
+            self._commit(self._states)
+            if not master.committing:
+                return
+            master.give_up("the test says so")
+            told = master.leaving
+            require(told == leaving, f"{told:b} are leaving, {leaving:b} are commanded to boards without SYNC")
+            world.wait(lambda: not master.committing, 0.6 + world.watching.slack, "over")
+            wanted = self._before ^ leaving
+            driven = world.switching.driven()
+            require(driven == wanted, f"the pins are {driven:b} after a command was given up; {wanted:b} may leave")
+            require(master.outputs == wanted, f"outputs {master.outputs:b} are told; {wanted:b} are driven")
+
+        def check() -> None:
+            master.drain_switched()
+            world.switching.forget(world.switching.driven())
+
+        return Fault(cause, lambda: world.use.release_quietly(), Expected((), within=AT_ONCE), check)
+
+    def command_while_an_older_frame_waits(self) -> Fault | None:
+        """No command begins before a frame with its COB-ID has left, of a command that was given up."""
+        if not (self._fit and self._waits()):
+            return None
+        world, master = self._world, self._world.master
+        held = [bus for bus in self._site.buses.values() if world.switching.lines_on(bus.name) & self._changed]
+        other = world.use.possible(self._before ^ (self._changed & -self._changed))
+
+        def cause() -> None:
+            for bus in held:
+                bus.stuck = True
+            self._commit(self._states)
+            master.give_up("the test says so")
+            try:
+                self._commit(other)
+                begun = master.committing
+            except Busy:
+                begun = False
+            for bus in held:
+                bus.stuck = False
+                bus.begin()
+            world.wait(lambda: not master.committing, 0.6 + world.watching.slack, "over")
+            require(not begun, "a command begins while an older frame with its COB-ID waits")
+
+        def check() -> None:
+            driven = world.switching.driven()
+            still = driven == master.outputs == self._before
+            require(still, f"the pins are {driven:b} after commands that were given up")
+            master.drain_switched()
+            self._commit(other)
+            world.wait(lambda: not master.committing, 0.6 + world.watching.slack, "committed")
+            driven = world.switching.driven()
+            require(driven == other, f"the pins are {driven:b} after a command of {other:b}")
+            world.switching.forget(other)
+            master.drain_switched()
+
+        if other == self._before or self._timing.heartbeat_timeout < 0.1:
+            return None
         return Fault(cause, lambda: world.use.release_quietly(), Expected((), within=AT_ONCE), check)
 
     def command_is_given_up_after_its_SYNC(self) -> Fault | None:
@@ -147,137 +177,3 @@ class CommandFaults(FaultMaker):
             require(not sent and not world.master.committing, f"a command that changes nothing sends {sent}")
 
         return Fault(cause, lambda: None, Expected((), within=AT_ONCE))
-
-    def RPDO_is_not_sent(self) -> Fault | None:
-        if not (self._fit and self._waits()):
-            return None
-        buses = [bus for bus in self._site.buses.values() if self._world.switching.lines_on(bus.name) & self._changed]
-        bus = self._random.choice(buses)
-
-        def cause() -> None:
-            bus.room = 0
-            self._commit(self._states)
-            bus.room = None
-
-        def check() -> None:
-            self._unswitched("was not sent")
-            self._world.switching.booted()
-
-        return Fault(cause, lambda: None, Expected((), within=AT_ONCE, calm=False), check)
-
-    def frames_stay_in_the_controller(self) -> Fault | None:
-        if not (self._fit and self._waits()):
-            return None
-        buses = [bus for bus in self._site.buses.values() if self._world.switching.lines_on(bus.name) & self._changed]
-        bus = self._random.choice(buses)
-        timing = self._world.drawn.timing
-
-        def cause() -> None:
-            bus.stuck = True
-            self._commit(self._states)
-
-        def check() -> None:
-            self._unswitched("were not sent for", *([f"{bus.name} was lost"] if lost_first else []))
-
-        late = timing.heartbeat_timeout / 2 + 0.03
-        if late + AT_ONCE > timing.heartbeat_timeout - timing.heartbeat:
-            return None  # the boards would lose the master before
-        lost_first = 0.8 * (timing.heartbeat_timeout - timing.heartbeat) <= late - 0.01
-        lost = tuple(n for n, b in self._world.wiring.boards.items() if b.bus == bus.name)
-        also = ("bus-busy",)
-        return Fault(cause, bus.restore, Expected((), within=late, lost=lost, also=also, calm=False), check)
-
-    def bus_is_lost_with_a_SYNC(self) -> Fault | None:
-        if not (self._fit and self._waits()):
-            return None
-        world, master = self._world, self._world.master
-        buses = [bus for bus in self._site.buses.values() if world.switching.lines_on(bus.name) & self._changed]
-        bus = self._random.choice(buses)
-        doubtful = world.switching.lines_on(bus.name) & self._changed
-        lost = tuple(n for n, b in world.wiring.boards.items() if b.bus == bus.name)
-
-        def cause() -> None:
-            keep = self._site.hands_out
-
-            def look(name: str, frame: Any) -> None:
-                keep(name, frame)
-                if name == bus.name and frame.id == 0x80:
-                    world.agenda.at(world.agenda.now, bus.go_down)
-
-            self._site.hands_out = look
-            self._commit(self._states)
-            world.wait(lambda: bus.state == "down", 0.2, "down")
-            self._site.hands_out = keep
-
-        def check() -> None:
-            failed = master.commit_failed
-            require(failed is not None and "was lost while its SYNC" in failed, f"the failure is {failed!r}")
-            require(master.doubtful == doubtful, f"{master.doubtful:b} are doubtful, {doubtful:b} may have switched")
-            require(not master.outputs_known, "outputs are known, and a SYNC was lost")
-            world.wait(lambda: not master.committing, 0.6, "over on the other bus")
-            why = self._refused(self._states, Busy)
-            require(bus.name in why, f"a command on a lost bus is refused by {why!r}")
-
-        expected = Expected(("bus-down",), bus.name, (), AT_ONCE, lost, calm=False)
-        return Fault(cause, bus.restore, expected, check)
-
-    def command_without_a_board(self) -> Fault | None:
-        """A command is refused while a board is lost; lines of other boards can still be switched off."""
-        world, master = self._world, self._world.master
-        name = self._random.choice(list(world.looks))
-        timing = world.drawn.timing
-
-        def check() -> None:
-            why = self._refused(self._before ^ 1, Busy)
-            require(name in why and "not ready" in why, f"a command without {name} is refused by {why!r}")
-            others = [b for n, b in world.wiring.boards.items() if n != name and b.lines & master.outputs]
-            if not others or not self._waits():
-                return
-            off = others[0].lines & master.outputs
-            before = {n: look.pins() for n, look in world.looks.items()}
-            self._site.call(lambda m: m.commit(~off & world.wiring.lines, world.agenda.now, release=True))
-            world.wait(lambda: not moves(master), 0.6 + world.watching.slack, "released")
-            now = world.switching.driven()
-            require(not now & off, f"{off:b} are switched off without {name}, the pins are {now:b}")
-            others_changed = [
-                n for n, look in world.looks.items() if n not in (name, others[0].name) and look.pins() != before[n]
-            ]
-            require(not others_changed, f"the pins of {others_changed} have changed, {off:b} are switched off")
-
-        lost = Expected(("board-lost",), name, (), timing.heartbeat_timeout + 0.05, (name,))
-        return Fault(
-            lambda: self._site.boards.fault("silence", name),
-            lambda: self._site.boards.fault("unsilence", name),
-            lost,
-            check,
-        )
-
-    def pulses_are_too_short(self) -> Fault | None:
-        """Pulses end before their outputs are read: each is missed, and the third in a row is a fault."""
-        world, master = self._world, self._world.master
-        blind = [w.line for w in self._judged.outputs if w.line & world.wiring.pulsed & self._judged.unsensed]
-        if not blind or self._before & world.wiring.pulsed or self._board.variant.answer_delay or not self._waits():
-            return None
-        line = self._random.choice(blind)
-
-        def pulse() -> None:
-            self._commit(world.switching.states | line)
-            world.wait(lambda: master.outputs & line, 0.1, "on")
-            self._site.call(lambda m: m.commit(~line & world.wiring.lines, world.agenda.now, release=True))
-            world.wait(lambda: not moves(master), COMMITTED, "released")
-            world.pass_time(READ_BACK)
-            master.drain_switched()
-            require(master.drain_missed() & line, f"{line:b} was on and not read back, and is not missed")
-
-        def cause() -> None:
-            before = self._status().unverified
-            for k in range(SHORT_PULSES):
-                pulse()
-                now = self._status().unverified
-                require(
-                    now == before + k + 1, f"{self._name}: {now} are unverified, were {before}, {k + 1} short pulses"
-                )
-
-        words = ("before they were read back", "verify: false")
-        expected = Expected(("not-verified",), self._name, words, AT_ONCE, (self._name,))
-        return Fault(cause, self._nothing, expected, lambda: world.switching.forget(world.switching.driven()))

@@ -14,11 +14,7 @@ Action = Callable[[], None]
 
 
 class FaultMaker:
-    """Makes faults of one drawn board. Each public method of a subclass makes one, or returns None if it cannot happen.
-
-    Args:
-        world: of boards.
-    """
+    """Makes faults of one drawn board. Each public method of a subclass makes one; None: it cannot happen."""
 
     def __init__(self, world: BoardWorld) -> None:
         self._world, self._random, self._site = world, world.random, world.site
@@ -31,7 +27,6 @@ class FaultMaker:
 
     @classmethod
     def of(cls, world: BoardWorld) -> Makers:
-        """Returns the makers by name."""
         maker = cls(world)
         return {name.replace("_", " "): getattr(maker, name) for name in vars(cls) if not name.startswith("_")}
 
@@ -42,12 +37,10 @@ class FaultMaker:
         return lambda: self._site.boards.fault(verb, self._name)
 
     def _status(self) -> Any:
-        """Returns what the master tells of the board."""
         [status] = [s for s in self._world.master.status().boards if f"{s.bus}/{s.node}" == self._name]
         return status
 
     def _bus_status(self) -> Any:
-        """Returns what the master tells of the bus."""
         [status] = [s for s in self._world.master.status().buses if s.name == self._bus.name]
         return status
 
@@ -55,5 +48,4 @@ class FaultMaker:
         self._site.intercept = lambda bus, frame: ""
 
     def _numbers(self, index: int, sub: int) -> Callable[[int], Action]:
-        """Returns a function that makes an action which sets an object of the board."""
         return lambda value: lambda: self._board.objects.set_number(index, sub, value)

@@ -9,6 +9,7 @@ from tests.simulation.fieldbus.command_faults import CommandFaults
 from tests.simulation.fieldbus.expected import Expected, Fault
 from tests.simulation.fieldbus.object_faults import ObjectFaults
 from tests.simulation.fieldbus.supervision_faults import SupervisionFaults
+from tests.simulation.fieldbus.unsent_faults import UnsentFaults
 from tests.simulation.judge.verdict import Violation, require
 
 if TYPE_CHECKING:
@@ -19,16 +20,10 @@ PROBES = 0.5  # [s] between two questions to lost boards
 BACK = 3.0  # [s] until a mended board is heard
 
 
-MAKERS = SupervisionFaults, BusFaults, ObjectFaults, CommandFaults
+MAKERS = SupervisionFaults, BusFaults, ObjectFaults, CommandFaults, UnsentFaults
 
 
 class Faults:
-    """Draws single faults.
-
-    Args:
-        world: of boards.
-    """
-
     def __init__(self, world: BoardWorld) -> None:
         self._world = world
 
@@ -87,7 +82,6 @@ class Faults:
         self._come_back(name, expected)
 
     def _judge_known(self, name: str, expected: Expected) -> None:
-        """Judges which states are known."""
         world = self._world
         master, boards = world.master, world.wiring.boards
         if expected.also:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, State
+from hyperbit.drivers.canopen.wire.events import FrameReceived
 from tests.simulation.fieldbus import changes
 from tests.simulation.fieldbus.found import found_of
 from tests.simulation.judge.verdict import require
@@ -16,15 +18,11 @@ if TYPE_CHECKING:
 LONGEST = 25.0  # [s] of a boot with repeated requests
 SDO_TIMEOUT = 0.5  # [s] of one request
 MOST_RESTARTS = 5  # of one board in a boot
-AGAIN = 3  # boots without trouble after which the boards are ready
+DEVICE_TYPE = b"\x00\x10"  # its index in an SDO frame
 
 
 class Interruptions:
-    """Draws what goes wrong in a boot.
-
-    Args:
-        world: of boards.
-    """
+    """Draws what goes wrong in a boot."""
 
     def __init__(self, world: BoardWorld) -> None:
         self._world = world
@@ -35,11 +33,13 @@ class Interruptions:
         self._name = random.choice(list(world.looks))
         self._board, self._judged = world.site.board(self._name), world.wiring.boards[self._name]
         self._place = random.choice([0, 1, 2, 3, random.randrange(40), random.randrange(100)])
+        self._outputs_only = False
         if random.random() < 0.7:
             world.site.master, world.calm, world.ready = None, False, False
             changes.happen(world, self._name)
         kinds: list[Callable[[], None]] = [self._frames, self._frames, self._frames, self._restart, self._restarts]
-        kinds += [self._bus, self._command, self._reset, self._stall, self._error]
+        kinds += [self._restart_at_outputs] * 2
+        kinds += [self._bus, self._command, self._start, self._reset, self._stall, self._error]
         kind = random.choice(kinds)
         world.made[f"boot with: {kind.__name__[1:]}"] += 1
         world.note(f"boot with {kind.__name__[1:]} of {self._name} at {self._place}")
@@ -47,7 +47,6 @@ class Interruptions:
         self._end()
 
     def _end(self) -> None:
-        """Ends the trouble; boots until the boards are ready."""
         world = self._world
         world.site.intercept = lambda bus, frame: ""
         for bus in world.site.buses.values():
@@ -58,7 +57,6 @@ class Interruptions:
             world.boot(new=True)
 
     def _begin(self) -> float:
-        """Begins a boot; returns the time."""
         world = self._world
         world.prepare(new=True)
         world.start_boot(new=True)
@@ -67,12 +65,15 @@ class Interruptions:
     def _is_sdo(self, bus: str, frame: Frame) -> bool:
         return bus == self._judged.bus and frame.id in (0x600 + self._judged.node, 0x580 + self._judged.node)
 
+    def _is_of_outputs(self, frame: Frame) -> bool:
+        return int.from_bytes(frame.data[1:3], "little") == self._judged.base
+
     def _at_place(self, happen: Callable[[], str]) -> None:
         """Calls a function at the drawn SDO frame."""
         count = [0]
 
         def look(bus: str, frame: Frame) -> str:
-            if not self._is_sdo(bus, frame):
+            if not self._is_sdo(bus, frame) or (self._outputs_only and not self._is_of_outputs(frame)):
                 return ""
             count[0] += 1
             master = self._world.site.master
@@ -118,6 +119,12 @@ class Interruptions:
         world.wait(lambda: not world.master.booting, LONGEST, "booted")
         world.judge_boot(world.master, world.agenda.now - began)
         world.boots.repeats = 0
+
+    def _restart_at_outputs(self) -> None:
+        """The board restarts at an SDO frame of its outputs."""
+        self._outputs_only = True
+        self._place = self._world.random.randrange(12)
+        self._restart()
 
     def _restarts(self) -> None:
         """The board restarts again and again."""
@@ -186,6 +193,31 @@ class Interruptions:
         self._begin()
         world.boots.running = False
         world.wait(lambda: not world.master.booting, LONGEST, "booted")
+
+    def _start(self) -> None:
+        """The master hears that another program starts the board: its boot begins again."""
+        world, name = self._world, self._name
+        begun: list[int] = []
+
+        def start() -> None:
+            if world.site.master is None or not world.master.booting:
+                return
+            frame = Frame(cia301.NMT, bytes([Command.START, self._judged.node]))
+            world.site.boards.receive(self._judged.bus, frame, "foreign START")
+            begun.append(0)
+            world.site.tell(FrameReceived(self._judged.bus, frame, world.agenda.now))
+            world.site.intercept = look
+
+        def look(bus: str, frame: Frame) -> str:
+            asks = bus == self._judged.bus and frame.id == 0x600 + self._judged.node
+            begun[0] += asks and frame.data[1:3] == DEVICE_TYPE
+            return ""
+
+        self._at_place(lambda: str(world.agenda.after(1e-6, start) or ""))
+        self._begin()
+        world.boots.running = False
+        world.wait(lambda: not world.master.booting, LONGEST, "booted")
+        require(all(begun), f"{name} was started by another program in its boot, and does not boot again")
 
     def _error(self) -> None:
         """The board reports an error: it is refused, with the emergency."""

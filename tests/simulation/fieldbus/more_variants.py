@@ -14,7 +14,6 @@ DISABLED, NO_REMOTE = 1 << 31, 1 << 30
 
 
 def entries(index: int, subs: range, bits: int = 8) -> list[int]:
-    """Returns the entries of a mapping."""
     return [index << 16 | sub << 8 | bits for sub in subs]
 
 
@@ -76,19 +75,12 @@ MORE: Mapping[str, Variant] = {
         },
     ),
     "no SYNC": Variant("no 1005h, 1006h", absent=frozenset({0x1005, 0x1006})),
-    "fixed COB-IDs": Variant(
-        "COB-IDs of PDOs are read-only",
-        changes={**_fixed(0x1400, 1), **_fixed(0x1800, 1)},
-    ),
+    "fixed COB-IDs": Variant("COB-IDs of PDOs are read-only", changes={**_fixed(0x1400, 1), **_fixed(0x1800, 1)}),
     "fixed entries": Variant(
         "entries of mappings are read-only, but not their number",
         changes={**_fixed(0x1600, *range(1, 9)), **_fixed(0x1A00, *range(1, 9))},
     ),
-    "fixed types": Variant(
-        "the type of RPDO1 is read-only: 255",
-        changes={**_fixed(0x1400, 2)},
-        synchronous=False,
-    ),
+    "fixed types": Variant("the type of RPDO1 is read-only: 255", changes={**_fixed(0x1400, 2)}, synchronous=False),
     "no inhibit time": Variant("no inhibit times", changes={**_without(0x1800, 3)}),
     "many watched": Variant(
         "1016h has four entries, one in use", changes=array(0x1016, [3 << 16 | 500, 0, 0, 4 << 16 | 800], size=4)

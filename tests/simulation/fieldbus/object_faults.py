@@ -17,13 +17,12 @@ if TYPE_CHECKING:
 
 LONGEST_TURN = 6.0  # [s] that is worth waiting for
 READ_BACK = 1.8  # [s] from a switch until outputs that do not follow are told: about a second, and eight reads
+READ_AT_ONCE = 0.75  # [s], likewise if no end-stop tells: eight reads
 THREE_READS = 3.5  # [s]
 CODES = (0x2310, 0x5000, 0x8F00)
 
 
 class ObjectFaults(FaultMaker):
-    """Makes faults of one drawn board."""
-
     def __init__(self, world: BoardWorld) -> None:
         super().__init__(world)
         self._found = world.found[self._name]
@@ -204,7 +203,8 @@ class ObjectFaults(FaultMaker):
         if here != (self._name,):
             return None
         words = ("does not follow RPDO and SYNC", "(outputs)")
-        within = READ_BACK + 3 * self._world.watching.slack
+        blind = self._judged.unsensed & (states ^ self._world.switching.states)
+        within = (READ_AT_ONCE if blind else READ_BACK) + 3 * self._world.watching.slack
         expected = Expected(("not-switched",), self._name, words, within, here)
         return Fault(cause, mend, expected)
 

@@ -21,12 +21,9 @@ LATE = 0.03  # [s], delay of a late answer
 
 
 class Attached(AttachedBoards):
-    """Boards whose pins are watched."""
-
     watch: Callable[[str], None] = staticmethod(lambda cause: None)
 
     def see(self, cause: str, belongs_to: object = None) -> None:
-        """Passes the cause of what may have changed."""
         self.watch(cause)
 
 
@@ -34,21 +31,11 @@ class Site:
     """One arm: boards, buses, and a master that can be exchanged.
 
     Attributes:
-        agenda: time and events.
-        boards: boards and actuators.
-        buses: the buses by name.
         master: the present master; None: no executor runs.
         stalled: whether the executor stands still.
         intercept: called with each frame of a board, or to one; returns "", "lose", "twice" or "late".
-        hands_out: takes each frame that the master hands out.
         echoes: takes bus, identifier and time of each frame of the master that was sent.
-        ticked: called after each tick.
         hears: takes each frame of a board that reaches the master.
-
-    Args:
-        drawn: the arm.
-        agenda: time and events.
-        random: draws.
     """
 
     def __init__(self, drawn: Drawn, agenda: Agenda, random: Random) -> None:
@@ -71,17 +58,12 @@ class Site:
 
     @property
     def now(self) -> float:
-        """Time [s]."""
         return self.agenda.now
 
     def board(self, name: str) -> SimulatedBoard:
-        """Returns a board."""
         return self.boards.simulated.board(name)
 
-    # --- the executor
-
     def start_master(self) -> Master:
-        """Replaces the master by a new one."""
         self._waiting.clear()
         self.stalled = False
         self.master = Master(self.drawn.wiring, self.drawn.timing, self._from_master)
@@ -131,8 +113,6 @@ class Site:
         if (why := self.buses[bus].send_frame(frame)) is not None:
             self._failed.append(SendFailed(bus, frame, why))
 
-    # --- the buses
-
     def _to_master(self, event: Event) -> None:
         if isinstance(event, FrameEchoed):
             self.echoes(event.bus, event.frame.id, self.now)
@@ -153,8 +133,6 @@ class Site:
             return
         for _ in range({"lose": 0, "twice": 2}.get(what, 1)):
             self.buses[bus].from_board(frame)
-
-    # --- other programs
 
     def order(self, name: str, command: int) -> None:
         """Another program sends an NMT command to a board, unheard by the master."""

@@ -19,8 +19,6 @@ STANDING = 0x1001
 
 
 class SupervisionFaults(FaultMaker):
-    """Makes faults of heartbeats, node guarding, emergencies and frames."""
-
     def __init__(self, world: BoardWorld) -> None:
         super().__init__(world)
         self._guarded = world.watching.guarded(self._name)
@@ -32,8 +30,6 @@ class SupervisionFaults(FaultMaker):
 
     def _post(self, frame: Frame) -> Action:
         return lambda: self._site.tell(FrameReceived(self._bus.name, frame, self._world.agenda.now))
-
-    # --- supervision
 
     def board_is_silent(self) -> Fault:
         timeout = self._timing.heartbeat_timeout
@@ -158,8 +154,6 @@ class SupervisionFaults(FaultMaker):
 
         return Fault(beat, self._nothing, Expected((), within=13 * self._period))
 
-    # --- emergencies
-
     def emergency(self) -> Fault:
         code, register = (
             self._random.choice([0x2310, 0x3320, 0x8F00, 0x5000, 0xFF01]),
@@ -195,8 +189,6 @@ class SupervisionFaults(FaultMaker):
 
         expected = Expected(("emergency",), self._name, ("(2310h)",), AT_ONCE)
         return Fault(cause, lambda: objects.set_number(STANDING, 0, 0), expected, check)
-
-    # --- strange frames
 
     def foreign_master(self) -> Fault:
         rpdo = self._judged.rpdos[0].cob_id if self._judged.rpdos else None

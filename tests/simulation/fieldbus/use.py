@@ -20,11 +20,7 @@ def moves(master: Master) -> bool:
 
 
 class Use:
-    """Uses an arm without trouble, and judges it.
-
-    Args:
-        world: of boards.
-    """
+    """Uses an arm without trouble, and judges it."""
 
     def __init__(self, world: BoardWorld) -> None:
         self._world = world
@@ -44,7 +40,6 @@ class Use:
         require(not master.drain_faults(), "faults without a cause")
 
     def switch(self, states: int) -> None:
-        """Switches all lines, and judges it."""
         master = self._world.master
         states = self.possible(states)
         before = self._world.agenda.now
@@ -87,7 +82,6 @@ class Use:
             further[board.bus] = further.get(board.bus, 0) + 12 * max(1, board.used.bit_count())
 
     def release_pulses(self) -> None:
-        """Switches the lines of pulses off."""
         on = self._world.switching.states & self._world.wiring.pulsed
         if not on:
             return
@@ -116,7 +110,6 @@ class Use:
         self._count_reads()
 
     def read_all(self) -> None:
-        """Waits for a turn of all reads."""
         self._world.made["all objects are read"] += 1
         self._world.watching.ready(self._world.agenda.now)
         self._world.watching.further = {}

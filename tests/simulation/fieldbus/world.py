@@ -33,16 +33,7 @@ SILENT = 0.05  # [s] that a board needs to notice the loss of the master, after 
 
 
 class BoardWorld:
-    """Arms one after another, each with some boots.
-
-    Attributes:
-        agenda: time and events.
-        made: counts what happened.
-
-    Args:
-        seed: seed of all random numbers.
-        remembered: number of last events for the story.
-    """
+    """Arms one after another, each with some boots."""
 
     def __init__(self, seed: int, remembered: int = 300) -> None:
         self.random = Random(f"{seed} boards")
@@ -52,11 +43,6 @@ class BoardWorld:
         self._arrive()
 
     def run(self, steps: int) -> None:
-        """Runs `steps` steps.
-
-        Raises:
-            Violation: the master does or tells what it must not.
-        """
         end = self.agenda.steps + steps
         while self.agenda.steps < end:
             self._live()
@@ -64,7 +50,6 @@ class BoardWorld:
             self._arrive()
 
     def _arrive(self) -> None:
-        """Draws the next arm."""
         self.drawn = draw(self.random)
         self.note(f"boards {self.drawn.names}")
         self.site = site = Site(self.drawn, self.agenda, self.random)
@@ -100,8 +85,6 @@ class BoardWorld:
             lambda: board._inputs,
         )
 
-    # --- one arm
-
     def _live(self) -> None:
         """Boots the boards of one arm some times, and uses them."""
         random, refusals = self.random, 0
@@ -118,7 +101,7 @@ class BoardWorld:
                 self.boot(new=random.random() < 0.7)
                 continue
             self.use.happen()
-            for _ in range(random.choice([0, 1, 2, 3])):
+            for _ in range(random.choice([1, 2, 3, 4])):
                 if self.ready:
                     self.faults.happen()
             drawn = random.random()
@@ -146,7 +129,6 @@ class BoardWorld:
             self.pass_time(1.3 * timing.heartbeat_timeout + timing.heartbeat + SILENT)
 
     def change(self) -> None:
-        """Changes some boards."""
         for name in self.looks:
             if self.random.random() < 0.6:
                 changes.happen(self, name)
@@ -181,7 +163,6 @@ class BoardWorld:
         return new
 
     def start_boot(self, new: bool) -> None:
-        """Begins a boot."""
         if new:
             self.site.start_master()
         self.site.call(lambda m: m.boot(self.agenda.now))
@@ -189,7 +170,6 @@ class BoardWorld:
             self.site.call(lambda m: m.tick(self.agenda.now))
 
     def judge_boot(self, master: Master, seconds: float) -> dict[str, Outcome]:
-        """Judges a boot that is over."""
         outcomes = self.boots.end(
             master.boot_faults, list(master.warnings()), master.outputs_known, seconds, self.drawn.timing
         )
@@ -233,7 +213,6 @@ class BoardWorld:
         return True
 
     def undo_flips(self) -> None:
-        """Closes the door and mends the end-stop."""
         if self._undo is not None:
             self._undo()
             self._undo = None
@@ -241,7 +220,6 @@ class BoardWorld:
 
     @property
     def master(self) -> Master:
-        """The present master."""
         assert self.site.master is not None
         return self.site.master
 
@@ -256,27 +234,18 @@ class BoardWorld:
             slow += 2 * self.drawn.timing.heartbeat * (found.state != State.OPERATIONAL)
         return slow
 
-    # --- time
-
     def pass_time(self, seconds: float) -> None:
-        """Runs all steps of a time [s]."""
         until = self.agenda.now + seconds
         while self.agenda.now < until:
             self.agenda.step()
 
     def wait(self, holds: Callable[[], object], longest: float, text: str) -> None:
-        """Runs steps until something holds.
-
-        Raises:
-            Violation: it does not hold in time.
-        """
+        """Runs steps until something holds."""
         until = self.agenda.now + longest
         while not holds():
             if self.agenda.now > until:
                 raise Violation(f"it is not {text} after {longest:g} s")
             self.agenda.step()
-
-    # --- facts
 
     def _hands_out(self, bus: str, frame: Frame) -> None:
         self.note(("master", bus, hex(frame.id), frame.data.hex()))
@@ -301,7 +270,6 @@ class BoardWorld:
             self.watching.tick(self.agenda.now)
 
     def _watch(self, cause: str) -> None:
-        """Judges changes of pins."""
         if cause == "read":
             return
         for name, look in self.looks.items():
@@ -324,17 +292,13 @@ class BoardWorld:
 
     @property
     def arm(self) -> object:
-        """The present arm, for a person."""
         return self.drawn
 
     def counts(self) -> Counter[str]:
-        """Returns how often each thing happened."""
         return Counter({f"fieldbus: {what}": count for what, count in self.made.items()})
 
     def note(self, event: object) -> None:
-        """Stores an event for the story."""
         self.events.append((self.agenda.now, event))
 
     def story(self) -> str:
-        """Returns the last events, one a line."""
         return "\n".join(f"{time - 1000:.6f} {event}" for time, event in self.events)

@@ -47,5 +47,4 @@ def misfits(a: Account, stages: tuple[Stage, ...], start: bytes, earliest: float
 
 
 def fits(a: Account, states: bytes) -> bool:
-    """Returns whether packed states are of this arm."""
     return len(states) == a.arm.size and not unpack(states) >> a.arm.count

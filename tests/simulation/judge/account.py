@@ -31,6 +31,7 @@ class Commit:
         contracts: whether the arm contracts at the end of the executor.
         releases: whether the RPDOs switch nothing on, and change no state.
         given_up: whether no SYNC may follow any more.
+        unread: mask of the actuators without end-stops that were switched before, and not read back at its begin.
         switched: mask of the actuators that its SYNCs have switched.
         switched_at: time of the last of these switches [s].
         switched_to: states after it.
@@ -50,6 +51,7 @@ class Commit:
     contracts: bool = False
     releases: bool = True
     given_up: bool = False
+    unread: int = 0
     switched: int = 0
     switched_at: float = 0.0
     switched_to: int = 0
@@ -155,11 +157,8 @@ class Account:
         told: mode that a snapshot or the log told last; nobody may be connected.
         ready_at: time when the mode `ready` or `executing` was shown after others [s].
         greatest: greatest number of an accepted program or stream.
-        run: the running program.
         stream: number of the followed stream and its end; None if none is followed.
-        commit: the last commit.
         mover: the last commit that switched an actuator.
-        homed_at: time of the last commit that might bring actuators of unknown state to a known one [s].
         ticked: time of the last tick [s].
         asked_states: states in which locked actuators without an end-stop are locked, by the arm's file or a request.
         homed_at: time of the last commit that may have homed actuators of unknown state [s].

@@ -7,12 +7,10 @@ from typing import Any
 
 
 def mask_of(actuators: Iterable[int]) -> int:
-    """Returns the mask of actuators."""
     return sum(1 << k for k in actuators)
 
 
 def bits_of(mask: int) -> list[int]:
-    """Returns the actuators of a mask."""
     return [k for k in range(mask.bit_length()) if mask >> k & 1]
 
 
@@ -25,8 +23,6 @@ class JudgedArm:
     """Outputs, end-stops and times of A actuators.
 
     Attributes:
-        count: A.
-        everything: mask of all actuators.
         paired: mask of those with two outputs.
         pulse: length of the pulse by actuator [s].
         extended_ends: mask of those with an end-stop at the extended end.
@@ -38,7 +34,6 @@ class JudgedArm:
         most: actuators that may switch at once.
         rest: rest time [s].
         limited: whether the inrush limit makes each stage wait for the stage before.
-        timing: times of boards.
         planner_timeout: silence after which the planner is lost [s].
         declared: mask and states of the actuators that the file declares stuck.
         ending: longest time of the contraction before the end [s].
@@ -66,7 +61,7 @@ class JudgedArm:
         self.limited, self.rest = arm.inrush is not None, arm.rest
         self.timing, self.planner_timeout = timing, arm.planner_timeout
         self.declared = arm.locked, arm.locked_states & arm.locked
-        self.contracts_at_end, self.continues_on_stuck = arm.contract_on_stop, arm.continue_on_stuck
+        self.contracts_at_end = arm.contract_on_stop
         self.buses = [bus.name for bus in arm.wiring.buses]
         self.size = (self.count + 7) // 8
 

@@ -15,11 +15,7 @@ LOST_LATE = 0.03  # [s] after `heartbeat_timeout` until a board acts on the loss
 
 
 class BoardObjects:
-    """What the drivers' page needs in the objects of the boards of an arm.
-
-    Args:
-        arm: the executor's arm.
-    """
+    """What the drivers' page needs in the objects of the boards of an arm."""
 
     def __init__(self, arm: Any) -> None:
         self._timing = arm.timing
@@ -42,7 +38,6 @@ class BoardObjects:
         return self._used[board]
 
     def base(self, board: str) -> int:
-        """Returns the index of the outputs of a board."""
         return self._bases.get(board, 0x6200)
 
     def _use(self, board: str, outputs: int, inputs: int) -> None:
@@ -50,13 +45,7 @@ class BoardObjects:
         self._used[board] = before[0] | outputs, before[1] | inputs
 
     def judge(self, board: str, has: Callable[[int], bool], number: Callable[[int, int], int]) -> None:
-        """Judges the objects of a board that was booted.
-
-        Args:
-            board: its name.
-            has: returns whether it has an object.
-            number: returns the value of an index and sub-index.
-        """
+        """Judges the objects of a board that was booted."""
 
         def needs(index: int, sub: int, value: int, mask: int = -1) -> None:
             found = number(index, sub)
@@ -124,10 +113,6 @@ class Endings:
     Attributes:
         goes_off: boards without 6206h whose device switches all outputs off when the executor is lost, by the arm's
             file (`error_state`); the world sets it.
-
-    Args:
-        account: of the executor.
-        arm: the executor's arm.
     """
 
     def __init__(self, account: Account, arm: Any) -> None:
@@ -152,7 +137,6 @@ class Endings:
         return self.lets_go | off
 
     def quits(self) -> None:
-        """The executor is asked to end."""
         a = self._a
         if a.quitting:  # a second call: it ends now
             return
@@ -162,7 +146,6 @@ class Endings:
         self._quit_at = a.now
 
     def hurries(self) -> None:
-        """The executor is asked to end at once."""
         self._contracts, self._at_once = False, True
 
     def logs(self, text: str) -> None:
@@ -187,6 +170,8 @@ class Endings:
         if a.clear and a.quitting and self._contracts:
             left = states & ~a.locked & ~(a.homing & ~a.unknown)
             require(not left, f"on_stop is contract, and {left:b} are extended at the end")
+            moving = a.ground.surely_moving(a.now)
+            require(not moving, f"on_stop is contract, and {moving:b} travel at the end")
             left = self._unknown & ~a.ground.came_since(self._quit_at)
             require(not left, f"on_stop is contract, and the unknown states of {left:b} are never brought there")
         if a.clear and a.quitting and a.arm.contracts_at_end and states & ~a.locked & ~a.homing:

@@ -23,8 +23,6 @@ NAME = "simulated"
 
 
 class Client(NamedTuple):
-    """A connection to the executor's socket."""
-
     number: int
     planner: bool
 
@@ -34,9 +32,6 @@ class Clients:
 
     Attributes:
         playable: faults that can be played in the boards; None: the boards count as real.
-
-    Args:
-        account: of the executor.
     """
 
     def __init__(self, account: Account) -> None:
@@ -45,7 +40,6 @@ class Clients:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._roles: dict[int, str] = {}
         self._due: tuple[int, object, str | None] | None = None  # client, message, and words of the Goodbye that is due
         self._heard: dict[type, set[int]] = {Snapshot: set(), Diagnostics: set()}
@@ -53,7 +47,6 @@ class Clients:
         self._operators: dict[tuple[int, int], float] = {}  # unanswered stops of operators
 
     def hears(self, client: int, message: object) -> None:
-        """Takes a message of a client."""
         role, away = self._roles.get(client), None
         if isinstance(message, Hello):
             away = self._unwelcome(client, message)
@@ -90,17 +83,14 @@ class Clients:
         return None
 
     def played(self, client: int, request: int, text: str, done: bool) -> None:
-        """The simulated boards have played a fault, or not."""
         if client in self._roles:
             self._due = client, (request, text, done), None
 
     def loses(self, client: int) -> None:
-        """The connection of a client was closed."""
         self._roles.pop(client, None)
         self._operators = {key: at for key, at in self._operators.items() if key[0] != client}
 
     def tells(self, client: int, message: object) -> None:
-        """The process sends a message to a client."""
         due, role, text = self._due, self._roles.get(client), f"{type(message).__name__} is told to client {client}"
         if due is not None and due[0] == client:
             self._answers(client, due[1], due[2], message)

@@ -36,12 +36,9 @@ class Commands:
     """Judges the commits of one executor.
 
     Attributes:
-        look: the boards by name.
         suspect: mask of the actuators whose boards have missed a frame since their boot; the world sets it.
 
     Args:
-        account: of the executor.
-        arm: the executor's arm.
         proofs: tells which pulses may be given again.
     """
 
@@ -62,17 +59,13 @@ class Commands:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._lines: dict[tuple[str, int], list[Line]] = {}  # of each RPDO, by bus and COB-ID
         self._held = deque[int](maxlen=8)  # states that were shown or commanded since the boot
         self._told = (0, 0)  # extending and contracting outputs that were commanded on
         self._setpoints = deque[Setpoint](maxlen=KEPT_SETPOINTS)
         self._mover: Commit | None = None
 
-    # --- what was asked for
-
     def receive(self, message: Setpoint) -> None:
-        """Takes a set-point of the planner."""
         a = self._a
         if a.shown is not None and message.epoch == a.shown.epoch:
             self._setpoints.append(message)
@@ -154,8 +147,6 @@ class Commands:
         asked = run is not None or bool(self._alive) or self._contracts
         return (mask | a.locked if asked else 0), merged(a.locked, a.locked_states, states)
 
-    # --- what is commanded
-
     def commit(self, bus: str, cob_id: int, data: bytes) -> None:
         """Judges an RPDO that is handed out; the account has its commit."""
         a, commit = self._a, self._a.commit
@@ -233,16 +224,20 @@ class Commands:
                         lines += [Line(place + o[0] - first, *o[1:]) for o in found]
                     place += count
 
-    # --- SYNC
-
     def sync(self, bus: str) -> None:
-        """Judges a SYNC that is handed out."""
         a, commit = self._a, self._a.commit
         require(commit is not None and bus in commit.open, f"{bus}: a SYNC without RPDOs")
         assert commit is not None
         require(not commit.given_up, f"{bus}: a SYNC for RPDOs that a stop, a cancel, a fault or a loss gave up")
         delay, longest = a.now - commit.at, a.arm.timing.heartbeat_timeout / 2
         require(delay <= longest + EPSILON, f"{bus}: a SYNC {delay:g} s after the RPDOs, of {longest:g} s at most")
+
+    def sync_again(self, bus: str) -> None:
+        """Judges a SYNC in place of one that could not be sent: the boards have its RPDOs."""
+        commit = self._a.commit
+        assert commit is not None
+        wanted = any(not (commit.extends ^ states) & commit.mask for states in self._stages())
+        require(wanted or not commit.given_up, f"{bus}: a SYNC again, for RPDOs that were given up")
 
     def switched(self, states: int, changed: int, known: int, commit: Commit | None) -> None:
         """Judges what a SYNC has switched at the boards, and the times of those of known state."""

@@ -22,9 +22,6 @@ class Counts:
 
     Attributes:
         connected: whether a planner was connected at the last tick.
-
-    Args:
-        account: of the executor.
     """
 
     def __init__(self, account: Account) -> None:
@@ -88,19 +85,15 @@ class Counts:
         require(a.now - self._told_at <= EVERY, f"no diagnostics for {a.now - self._told_at:g} s")
 
     def process(self, loop: dict[str, float], dropped: int) -> None:
-        """Takes the figures of the process."""
         self._health = loop, dropped
 
     def hands_out(self, bus: str) -> None:
-        """The process hands out a frame."""
         self._handed[bus] += 1
 
     def echoes(self, bus: str) -> None:
-        """The process hears that a frame of its own was sent."""
         self._sent[bus] += 1
 
     def hears(self, bus: str, cob_id: int) -> None:
-        """The process hears a frame of another node."""
         self._received[bus] += 1
         if cob_id & 0x780 == EMERGENCY:
             self._emergencies.add((bus, cob_id & 0x7F))
@@ -135,7 +128,6 @@ class Counts:
 
     @property
     def counted_now(self) -> bool:
-        """Whether counts were told in this step."""
         return self._counted_at == self._a.now
 
     def ends(self) -> None:
@@ -149,7 +141,6 @@ class Counts:
         self.told(counts)
 
     def diagnosed(self, message: Diagnostics) -> None:
-        """Judges diagnostics."""
         a = self._a
         self.told(message.counts)
         self._told_at = a.now

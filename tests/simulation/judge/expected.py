@@ -71,7 +71,6 @@ def told(expected: Expected, snapshot: Snapshot | None) -> bool:
 
 
 def judge_locks(expected: Expected, snapshot: Snapshot | None) -> None:
-    """Judges whether an actuator is locked after a fault."""
     if expected.locks is None or snapshot is None or snapshot.mode != "ready":
         return
     label, locked = expected.locks

@@ -43,9 +43,6 @@ class Ground:
         switched_at: time when each actuator was switched last [s].
         synced_at: time when a SYNC has switched it last, as far as its board has missed no frame [s].
         on: mask of the actuators with one of two outputs on.
-
-    Args:
-        arm: the arm.
     """
 
     def __init__(self, arm: JudgedArm) -> None:
@@ -60,16 +57,13 @@ class Ground:
 
     @property
     def states(self) -> int:
-        """The driven states now."""
         return self.driven[-1].states
 
     def read(self, now: float, extended: int, contracted: int) -> None:
-        """Records the levels of the end-stops."""
         if self.readings[-1][1:] != (extended, contracted):
             self.readings.append(Reading(now, extended, contracted))
 
     def drive(self, now: float, states: int, changed: int) -> None:
-        """Records other driven states."""
         self.driven.append(Driven(now, states))
         for k in bits_of(changed):
             self.switched_at[k] = now

@@ -34,9 +34,6 @@ class Judge:
 
     The world calls the methods below as things happen. `quiet_from` and `disturb` tell whether the world works as it
     should: then each fact must be exact. In a disturbed world only what must hold at all times is judged.
-
-    Args:
-        arm: the executor's arm; its wiring, times and limits are read.
     """
 
     def __init__(self, arm: Any) -> None:
@@ -61,8 +58,6 @@ class Judge:
         self.objects, self.endings = BoardObjects(arm), Endings(self.account, arm)
         self.traffic, self.log = Traffic(self.account, arm), Log(self.account, self.endings.lets_go)
 
-    # --- the world
-
     def at(self, now: float) -> None:
         """Sets the time of the next facts [s]."""
         self.account.now = now
@@ -72,17 +67,13 @@ class Judge:
         self.account.clear_since = now
 
     def looks_at(self, boards: dict[str, Look]) -> None:
-        """Sets what the boards show, by their names."""
         self.traffic.look = self.commands.look = boards
 
     def disturb(self) -> None:
         """Ends the time in which nothing disturbs the world."""
         self.account.clear_since = math.inf
 
-    # --- the executor's process
-
     def begins(self, instance: int) -> None:
-        """A process of the executor has started."""
         self.account.instance = instance
         self.endings.begins()
         self._forget()
@@ -93,11 +84,12 @@ class Judge:
         self.account.begin()
         parts = self.snapshots, self.programs, self.streams, self.requests, self.traffic, self.log
         self._commits: dict[str, Commit] = {}  # last one of each bus
+        self._unsent: dict[str, Commit] = {}  # of each bus whose last SYNC could not be sent
+        self._behind: dict[str, set[int]] = {}  # frames behind a SYNC: each echo tells that the SYNC was sent
         for part in (*parts, self.commands, self.silence, self.clients, self.travels, self.reasons, self.proofs):
             part.begin()
 
     def dies(self) -> None:
-        """The process has ended."""
         if self._over and self.account.clear:
             self.programs.ends()
             self.requests.ends()
@@ -108,7 +100,6 @@ class Judge:
         self._forget()
 
     def quits(self) -> None:
-        """The process is asked to end."""
         self.close_step()
         a = self.account
         if not a.quitting:
@@ -136,7 +127,6 @@ class Judge:
         self.pulses.ticks()
 
     def close_step(self) -> None:
-        """The process has handled an event."""
         if self._asked_to_end is not None:
             self.log.quits(self._asked_to_end)
         elif self._ticks:
@@ -150,16 +140,24 @@ class Judge:
         self.close_step()
 
     def echoes(self, bus: str, frame_id: int) -> None:
-        """The process hears that a frame of its own was sent."""
         self.close_step()
-        if frame_id == SYNC and self.account.commit is not None:
+        tells = frame_id == SYNC or frame_id in self._behind.get(bus, ())
+        if tells:
+            self._behind.pop(bus, None)
+        if tells and self.account.commit is not None:
             self.account.commit.awaited.discard(bus)
-        if frame_id == SYNC and bus in self._commits:
+        if tells and bus in self._commits:
             arm = self.arm
             self.proofs.switched(self._commits[bus], mask_of(k for k in range(arm.count) if arm.bus_of[k] == bus))
 
+    def fails(self, bus: str, frame_id: int) -> None:
+        """The process hears that a frame of its own could not be sent; a SYNC may be sent again without RPDOs."""
+        self.close_step()
+        if frame_id == SYNC and bus in self._commits:
+            self._unsent[bus] = self._commits[bus]
+            self._commits[bus].awaited.discard(bus)
+
     def _lose_silent(self) -> None:
-        """The planner was silent for too long."""
         self.snapshots.epoch_causes += self.account.clear
         self.messages.lose_planner()
 
@@ -172,20 +170,27 @@ class Judge:
         self.counts.hands_out(bus)
         if frame_id & 0x780 in RPDOS:
             if a.commit is None or a.commit.at != a.now:
-                a.commit = Commit(a.now, a.believed)
+                a.commit = Commit(a.now, a.believed, unread=self.proofs.unread)
                 self.programs.switches_for = a.run
             a.commit.open.add(bus)
             self._commits[bus] = a.commit
+            self._unsent.pop(bus, None)
             self.commands.commit(bus, frame_id, data)
+        elif frame_id > SYNC and bus in self._behind:
+            self._behind[bus].add(frame_id)
         elif frame_id == SYNC:
-            self.commands.sync(bus)
+            self._behind[bus] = set()
+            again = self._unsent.pop(bus, None)
+            if again is None:
+                self.commands.sync(bus)
+            else:
+                a.commit = again
+                self.commands.sync_again(bus)
             assert a.commit is not None
             a.commit.open.discard(bus)
             a.commit.awaited.add(bus)
             return a.commit
         return None
-
-    # --- the boards
 
     def misses(self, suspect: int) -> None:
         """Since their boot the boards of a mask of actuators have missed a frame."""

@@ -23,7 +23,6 @@ class Log:
         watchdog: systemd's watchdog time [s]; None without a watchdog.
 
     Args:
-        account: of the executor.
         lets_go: mask of the actuators that the boards contract without the executor.
     """
 
@@ -34,7 +33,6 @@ class Log:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._status: str | None = None
         self._warned = False  # of what the boards do after the end
         self._told: Counter[str] = Counter()  # of the faults since the last boot
@@ -43,7 +41,6 @@ class Log:
         self._notified: set[str] = set()
 
     def notifies(self, text: str) -> None:
-        """Takes a message for systemd."""
         if text.startswith("STATUS="):
             self._status = text.removeprefix("STATUS=")
             return
@@ -81,7 +78,6 @@ class Log:
         )
 
     def logs(self, level: int, text: str) -> None:
-        """Takes a line."""
         mode = text.split(":")[0]
         if mode in ("starting", "ready", "executing", "fault", "stopped"):
             right = logging.WARNING if mode in WARNED else logging.INFO

@@ -52,7 +52,6 @@ class Memory:
         """Judges the containers of a process at rest.
 
         Args:
-            instance: number of the process.
             core: walked, and nothing else is asked of it.
             owed: number of results that the planner has not acknowledged.
         """

@@ -34,17 +34,12 @@ if TYPE_CHECKING:
 
 
 class Messages:
-    """The messages of one executor and its clients.
-
-    Args:
-        judge: of the executor.
-    """
+    """The messages of one executor and its clients."""
 
     def __init__(self, judge: Judge) -> None:
         self._judge = judge
 
     def loses(self, client: Client) -> None:
-        """The connection of a client was closed."""
         judge = self._judge
         judge.close_step()
         judge.clients.loses(client.number)
@@ -64,7 +59,6 @@ class Messages:
         judge.account.stream = None
 
     def hears(self, client: Client, message: object) -> None:
-        """The process takes a message of a client."""
         judge = self._judge
         judge.close_step()
         judge.clients.hears(client.number, message)
@@ -113,7 +107,6 @@ class Messages:
             judge.programs.end("cancel", "canceled", message.reason or "canceled; the arm holds")
 
     def tells(self, message: object) -> None:
-        """The process sends a message to a client."""
         judge = self._judge
         match message:
             case Welcome():

@@ -35,15 +35,6 @@ class Programs:
     Attributes:
         count: takes the mask of the actuators that a SYNC has switched.
         switches_for: program for which the last RPDOs were handed out.
-        waits: judges what programs wait for.
-
-    Args:
-        account: of the executor.
-        snapshots: judges measured states.
-        silence: of the planner.
-        travels: measured by the judge.
-        reasons: of the modes.
-        proofs: of what was read back.
     """
 
     def __init__(
@@ -63,21 +54,17 @@ class Programs:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._message: Program | Replacement | None = None
         self._endings: dict[int, Ending] = {}
         self.unacknowledged: dict[int, Ended] = {}
         self.switches_for: Run | None = None
         self.waits.begin()
 
-    # --- the request
-
     def receive(self, message: Program | Replacement) -> None:
         """Records a request that must be answered in this step."""
         self._message = message
 
     def declined(self, message: Declined) -> None:
-        """Judges a decline."""
         asked, self._message = self._message, None
         require(isinstance(asked, Program) and asked.program == message.program, f"{message} was not asked for")
         assert isinstance(asked, Program)
@@ -116,7 +103,6 @@ class Programs:
         a.greatest = max(a.greatest, asked.program)
 
     def replaced(self, message: Replaced) -> None:
-        """Judges the answer to a replacement."""
         asked, self._message, a = self._message, None, self._a
         require(isinstance(asked, Replacement), f"{message} was not asked for")
         assert isinstance(asked, Replacement)
@@ -145,10 +131,7 @@ class Programs:
             return False
         return run.aligned(unpack(asked.start)) == run.state(asked.first - 1)
 
-    # --- progress
-
     def begun(self, message: Begun) -> None:
-        """Judges the report of a stage."""
         a, run = self._a, self._a.run
         require(run is not None and run.number == message.program, f"{message}, but this program does not run")
         assert run is not None
@@ -161,6 +144,9 @@ class Programs:
         states = run.stages[k].states
         if a.clear and not run.delayed:
             self._judge_begun(run, k, at, before)
+        if commit is not None and run.strict_from <= at:
+            text = f"stage {k} of program {run.number} is strict"
+            require(not commit.unread, f"{text}, and began before {commit.unread:b} were read back")
         if a.clear:
             self._judge_switches(run, message.switches, f"stage {k} of program {run.number}")
         skipped = range(run.taken + 1, k)
@@ -195,7 +181,6 @@ class Programs:
         require(not (surely and k < best), f"{text} began although stage {best} was due at {at:.6f}")
 
     def settled(self, message: Settled) -> None:
-        """Judges the report of a mark."""
         a, run = self._a, self._a.run
         require(run is not None and run.number == message.program, f"{message}, but this program does not run")
         assert run is not None
@@ -218,12 +203,9 @@ class Programs:
         require(told == run.switches, f"{text} tells {told} switches, the bus had {run.switches}")
 
     def switched(self, mask: int) -> None:
-        """Counts actuators that a SYNC switched."""
         if self.switches_for is not None:
             self.switches_for.switches += mask.bit_count()
         self.count(mask)
-
-    # --- the end
 
     def end(self, cause: str, status: str, words: str = "") -> None:
         """Records that something ends the running program; its result is owed from now on."""
@@ -304,8 +286,6 @@ class Programs:
         """The process has ended in order: each program has its result."""
         without = [*self._endings, *([] if self._a.run is None else [self._a.run.number])]
         require(not without, f"the executor has ended in order, and programs {without} have no result")
-
-    # --- time
 
     def tick(self) -> None:
         """Finds stages, marks and results that do not come although nothing keeps them."""

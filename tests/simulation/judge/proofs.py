@@ -21,10 +21,7 @@ class Proofs:
     Attributes:
         missed: mask of the actuators whose last pulse was over before it was read; it may be given again.
         states: states of the last pulses.
-
-    Args:
-        account: of the executor.
-        arm: the executor's arm.
+        heard_at: when the process heard that a SYNC was sent [s].
     """
 
     def __init__(self, account: Account, arm: Any) -> None:
@@ -38,9 +35,9 @@ class Proofs:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._ready_at = math.inf  # end of the last boot [s]
         self.missed = self.states = self._open = 0
+        self.heard_at = -math.inf
         self._on: tuple[int, int] | None = None  # commanded last: extending outputs, contracting outputs of pairs
         self._known_at = [0.0] * self._a.arm.count  # when the process heard of each actuator's SYNC [s]
         self._asked: dict[tuple[str, int, int], float] = {}  # last request for each byte of outputs [s]
@@ -52,6 +49,7 @@ class Proofs:
 
     def switched(self, commit: Commit, here: int) -> None:
         """The process hears that the SYNC of a commit was sent to the boards of the actuators of a mask."""
+        self.heard_at = self._a.now
         a, paired, here = self._a, self._a.arm.paired, here & commit.mask
         extends, contracts = self._on or (0, 0)
         self._on = merged(here, commit.extends, extends), merged(here, commit.contracts_to & paired, contracts)
@@ -79,7 +77,6 @@ class Proofs:
                 self._asked[bus, cob_id & 0x7F, sub] = self._a.now
 
     def hears(self, bus: str, cob_id: int, data: bytes) -> None:
-        """Takes an answer that the process hears."""
         if cob_id & 0x780 != SDO_ANSWER or len(data) != 8 or data[0] & EXPEDITED != 0x43 & EXPEDITED or not self._open:
             return
         index, sub, node = int.from_bytes(data[1:3], "little"), data[3], cob_id & 0x7F
@@ -97,7 +94,6 @@ class Proofs:
                 self._open &= ~(1 << k)
 
     def done(self, run: Run, verified: bool, text: str) -> None:
-        """Judges that a program is done."""
         wrong = run.moved & self.unread
         require(not wrong, f"{text} is done, and nobody has read back the outputs of {wrong:b}")
         told = verified == (not run.moved & self.forgone)

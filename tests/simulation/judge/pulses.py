@@ -41,9 +41,6 @@ class Pulses:
 
     Attributes:
         suspect: mask of the actuators whose boards have missed a frame since their boot.
-
-    Args:
-        account: of the executor.
     """
 
     def __init__(self, account: Account) -> None:
@@ -74,7 +71,6 @@ class Pulses:
             )
 
     def dies(self) -> None:
-        """The process has ended."""
         self._died_at = self._a.now
 
     def boots(self) -> None:

@@ -10,18 +10,13 @@ HELD = "holding what the boards measured"
 
 
 class Reasons:
-    """Judges the reasons in the snapshots of one executor.
-
-    Args:
-        account: of the executor.
-    """
+    """Judges the reasons in the snapshots of one executor."""
 
     def __init__(self, account: Account) -> None:
         self._a = account
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._words: tuple[str, ...] | None = None  # of the present mode; None: not known
         self._followed: Setpoint | None = None
 
@@ -36,11 +31,9 @@ class Reasons:
         self._followed = None
 
     def follows(self, message: Setpoint) -> None:
-        """A set-point is followed."""
         self._followed, self._words = message, None
 
     def shows(self, last: Snapshot | None, snapshot: Snapshot) -> None:
-        """Judges the reason of a snapshot."""
         a, reason, mode = self._a, snapshot.reason, snapshot.mode
         if a.ready_at == a.now:
             self._words = (HELD,)

@@ -47,13 +47,6 @@ class Requests:
 
     Attributes:
         asked: number of its questions to the planner.
-
-    Args:
-        account: of the executor.
-        programs: has the results.
-        snapshots: shows locks and epochs.
-        silence: of the planner.
-        reasons: of the modes.
     """
 
     def __init__(
@@ -65,7 +58,6 @@ class Requests:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._due: object = None  # the message that must be answered in this step
         self._again: set[int] | None = None  # results that the new planner must get in this step
         self._held: list[Waiting] = []
@@ -74,7 +66,6 @@ class Requests:
         self._way: tuple[bytes, bytes] | None = None  # of the open question of a stream that goes on
 
     def receive(self, client: Client, message: object) -> None:
-        """Takes a message of a client."""
         a = self._a
         self._due = None
         followed = isinstance(message, Setpoint) and a.stream is not None and message.stages
@@ -106,7 +97,6 @@ class Requests:
         require(not again, f"results {again} were not told to the new planner")
 
     def welcome(self, message: Welcome) -> None:
-        """Judges the answer to a Hello."""
         self._due = None
         a = self._a
         require(message.instance == a.instance, f"instance {message.instance} is told, it is {a.instance}")

@@ -16,11 +16,7 @@ LATE = 3 * TICK  # [s] within which the silence is noticed
 class Silence:
     """Judges what becomes of a planner that is silent or gone.
 
-    Attributes:
-        connected: whether a planner is connected.
-
     Args:
-        account: of the executor.
         lose: is called when a planner was silent for too long.
     """
 
@@ -29,7 +25,6 @@ class Silence:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self.connected = self._lost = False
         self._silence, self._ticked = 0.0, self._a.now
         self._heard_epoch = self._barred = 0
@@ -40,15 +35,12 @@ class Silence:
         return self.connected and not self._lost and self._silence > self._a.arm.planner_timeout - LATE
 
     def hears(self) -> None:
-        """The planner has sent something."""
         self._silence, self._lost, self._heard_epoch = 0.0, False, self._epoch
 
     def notice(self) -> None:
-        """The executor tells that it has noticed the silence."""
         self._lost, self._barred = True, max(self._barred, self._heard_epoch)
 
     def gone(self) -> None:
-        """The planner's connection was closed."""
         self.connected, self._barred = False, max(self._barred, self._epoch)
 
     def tick(self) -> None:

@@ -21,20 +21,13 @@ STANDING = frozenset({"degraded", "unknown-position", "board-limits", "outputs-o
 
 
 class Snapshots:
-    """Judges the snapshots of one executor.
-
-    Args:
-        account: of the executor.
-        silence: of the planner.
-        proofs: tells what was read back.
-    """
+    """Judges the snapshots of one executor."""
 
     def __init__(self, account: Account, silence: Silence, proofs: Proofs) -> None:
         self._a, self._silence, self._proofs = account, silence, proofs
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._claims: list[Callable[[Snapshot], None]] = []
         self.epoch_causes = 0
         self.locks_asked = 0
@@ -90,7 +83,6 @@ class Snapshots:
         require(not wrong, f"{text} measures {told:b}; {wrong:b} are locked otherwise")
 
     def show(self, snapshot: Snapshot) -> None:
-        """Judges a snapshot."""
         a, last = self._a, self._a.shown
         require(abs(snapshot.at - a.now) < EPSILON, f"a snapshot of {snapshot.at:g} is sent at {a.now:g}")
         if last is not None:
@@ -231,5 +223,6 @@ class Snapshots:
         if now - last > SEEN_WITHIN and last > a.ready_at:
             least = max(ground.due(k) for k in range(a.arm.count) if ground.switched_at[k] == last)
             require(snapshot.free_at >= least - EPSILON, f"free_at is {snapshot.free_at:.6f}, {least:.6f} at least")
-        most = max(last, a.ready_at, a.locks_changed_at) + max(map(max, a.arm.travel)) + SEEN_WITHIN
+        last = max(last, self._proofs.heard_at, a.ready_at, a.locks_changed_at)
+        most = last + max(map(max, a.arm.travel)) + SEEN_WITHIN
         require(snapshot.free_at <= most, f"free_at is {snapshot.free_at:.6f}, {most:.6f} at most")

@@ -13,7 +13,6 @@ class Streams:
     """Judges the streams of one executor.
 
     Args:
-        account: of the executor.
         programs: ended by a followed set-point.
     """
 
@@ -22,7 +21,6 @@ class Streams:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._held_at = self._a.now
 
     def receive(self, message: Setpoint) -> bool:

@@ -36,10 +36,6 @@ class Traffic:
     Attributes:
         look: the boards by name; the world sets it.
         ordered: NMT state of each board before the first NMT command to it.
-
-    Args:
-        account: of the executor.
-        arm: the executor's arm.
     """
 
     def __init__(self, account: Account, arm: Any) -> None:
@@ -61,7 +57,6 @@ class Traffic:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         a = self._a
         self._beats: dict[str, float] = {}  # of each bus
         self._polls: dict[str, float] = {}  # of each guarded board
@@ -89,7 +84,6 @@ class Traffic:
         return max(INPUTS_EVERY, transfers * 2 * FRAME_BITS / (SHARE * self._rates[bus]))
 
     def hands_out(self, bus: str, cob_id: int, data: bytes) -> None:
-        """Takes a frame that is handed to a bus."""
         a = self._a
         if cob_id == HEARTBEAT:
             require(data == b"\x05", f"{bus}: the heartbeat of the executor has the data {data.hex()}")

@@ -29,12 +29,7 @@ class Arrival:
 
 
 class Travels:
-    """Measures the travels of each program, and judges those in its result.
-
-    Args:
-        account: of the executor.
-        arm: the executor's arm.
-    """
+    """Measures the travels of each program, and judges those in its result."""
 
     def __init__(self, account: Account, arm: Any) -> None:
         self._a = account
@@ -47,7 +42,6 @@ class Travels:
         self._arrived: list[Arrival] = []  # in no result yet
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._switched.clear()
         self._arrived.clear()
 
@@ -62,7 +56,6 @@ class Travels:
         return any(arrival.at - FRAME < at < arrival.at + FRAME for at in asked) or arrival.asked
 
     def switched(self, mask: int) -> None:
-        """A SYNC has switched actuators."""
         a, reading = self._a, self._a.ground.readings[-1]
         lately = a.ground.readings_since(a.now - FRAME)  # what the executor may have heard
         for one in self._arrived:  # the frame of its end-stop may come after this SYNC
@@ -77,7 +70,6 @@ class Travels:
                 self._switched[k] = a.now, state, unheard
 
     def reads(self, extended: int, contracted: int) -> None:
-        """End-stops have changed."""
         now = self._a.now
         for k, (at, state, unheard) in list(self._switched.items()):
             if (extended if state else contracted) >> k & 1:

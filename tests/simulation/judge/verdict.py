@@ -6,6 +6,5 @@ class Violation(BaseException):
 
 
 def require(holds: object, text: str) -> None:
-    """Raises `Violation` unless `holds` is true."""
     if not holds:
         raise Violation(text)

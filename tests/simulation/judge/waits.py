@@ -34,9 +34,6 @@ class Waits:
     Attributes:
         unfed_since: time since when it waits for further stages [s]; None if it does not.
         unfed: awake time without further stages [s].
-
-    Args:
-        account: of the executor.
     """
 
     def __init__(self, account: Account) -> None:
@@ -44,7 +41,6 @@ class Waits:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self.unfed_since: float | None = None
         self.unfed, self._ticked = 0.0, self._a.now
 

@@ -45,7 +45,6 @@ class Other:
 
     @property
     def token(self) -> str:
-        """Its liveliness token."""
         return f"hyperbit/{ARM}/alive" if self.zid == "alive" else f"hyperbit/{ARM}/@claim/{self.zid}"
 
 
@@ -56,11 +55,9 @@ class Clock:
     now: float = 0.0
 
     def monotonic(self) -> float:
-        """Returns the time [s]."""
         return self.now
 
     def sleep(self, seconds: float) -> None:
-        """Sleeps."""
         require(seconds >= 0.0, f"a claim sleeps for {seconds} s")
         self.now += seconds
 
@@ -81,15 +78,12 @@ class Session:
     peers: list[Session] = field(default_factory=list)
 
     def zid(self) -> str:
-        """Returns the id of the session."""
         return self.own
 
     def liveliness(self) -> SimpleNamespace:
-        """Returns the object for tokens."""
         return SimpleNamespace(declare_token=lambda key: self._declare(key, None), get=self._tokens)
 
     def declare_queryable(self, key: str, handler: Callable[[Any], None]) -> SimpleNamespace:
-        """Declares a queryable."""
         return self._declare(key, handler)
 
     def _declare(self, key: str, handler: Callable[[Any], None] | None) -> SimpleNamespace:
@@ -124,8 +118,6 @@ class Session:
 
 @dataclass
 class Asked:
-    """A query of a claim."""
-
     key_expr: str
     replies: list[bytes]
 
@@ -136,13 +128,11 @@ class Asked:
         """The query ends."""
 
     def reply(self, key: str, data: bytes) -> None:
-        """Takes the answer."""
         self.replies.append(data)
 
 
 @contextmanager
 def timed(clock: Clock) -> Iterator[None]:
-    """Lets claims use a clock."""
     before, claim_module.time = claim_module.time, clock  # type: ignore[assignment]
     try:
         yield
@@ -222,7 +212,6 @@ def _two_start(clock: Clock, random: Random) -> None:
 
 
 def _judge_answer(session: Session, *, serves: bool) -> None:
-    """Judges what a claim tells of itself."""
     key = f"hyperbit/{ARM}/@claim/{session.own}"
     replies = list[bytes]()
     for handler in session.declared.get(key, []):

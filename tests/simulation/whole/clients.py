@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 ACTS = {
     **{"goal": 40, "jog": 10, "plan": 6, "cancel": 3, "cancel goal": 4, "stop": 1.5, "reset": 3, "degrade": 3},
-    **{"obstacles": 6, "arm": 2, "stream": 6, "tip": 4, "garbage": 2, "repeat": 6, "many goals": 0.5, "wait": 10},
+    **{"obstacles": 6, "arm": 2, "stream": 6, "tip": 10, "garbage": 2, "repeat": 6, "many goals": 0.5, "wait": 10},
     **{"poses": 2.0, "again": 1.0, "flood": 0.15, "crowd": 0.4, "many arms": 0.03},
-    **{"burst": 4, "result": 3, "vanish": 1, "same id": 1.5, "many plans": 0.3, "fault": 0.3},
+    **{"burst": 8, "result": 3, "vanish": 1, "same id": 1.5, "many plans": 0.3, "fault": 2.0},
 }
-ASIDE = {"arm": 4, "plan": 3, "poses": 2, "result": 2, "tip": 2, "garbage": 1}  # while the clients wait for a motion
+ASIDE = {"arm": 4, "plan": 3, "poses": 2, "result": 2, "tip": 5, "garbage": 1}  # while the clients wait for a motion
 BURSTS = (
     ("reset", "stop"),
     ("stop", "reset", "goal"),
@@ -37,6 +37,8 @@ BURSTS = (
     ("stop", "reset", "stop"),
     ("cancel", "reset", "cancel", "goal"),
     ("degrade", "goal"),
+    ("plan", "cancel goal"),
+    ("plan", "plan", "cancel goal"),
     ("obstacles", "goal", "obstacles"),
 )
 NAMES = {"stop": ("hyperbit/*/stop", "**/hyperbit/*/stop"), "cancel": ("hyperbit/*/cancel",), "arm": ("hyperbit/**",)}
@@ -68,11 +70,6 @@ class Clients:
 
     Attributes:
         calm: they only do what makes the arm ready.
-        wishes: draws what they ask for.
-
-    Args:
-        daemon: whose clients they are.
-        random: for requests and times.
     """
 
     def __init__(self, daemon: Daemon, random: Random) -> None:
@@ -89,8 +86,6 @@ class Clients:
         self._rate = random.choice([5.0, 20.0, 40.0])
         self._crowd = random.choice([0.0, 0.4, 0.8])  # share of the motions to which obstacles come
         self._agenda.after(1.0, self._act)
-
-    # --- the network
 
     def ask(self, key: str, payload: dict[str, Any] | bytes = b"{}", *, query: bool = True) -> Sent:
         """Sends a request of the client that acts now; returns it, to which replies are added."""
@@ -127,8 +122,6 @@ class Clients:
         if old:
             self.ask("goal", self._random.choice(old).payload)
 
-    # --- what they do
-
     def _act(self) -> None:
         if self.calm:
             self._client = 0
@@ -145,7 +138,6 @@ class Clients:
         self._agenda.after(self._random.expovariate(self._rate), self._act)
 
     def _draw(self) -> str:
-        """Returns what to do next."""
         random, state = self._random, self._daemon.state
         mode = "" if state is None else state["mode"]
         if self._wait():

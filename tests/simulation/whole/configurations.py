@@ -21,8 +21,6 @@ Costs = NDArray[np.float64]
 
 
 class Cube(NamedTuple):
-    """An obstacle."""
-
     mask: int
     value: int
 
@@ -72,7 +70,6 @@ class Configurations:
         notations: each configuration as text.
 
     Args:
-        manipulator: the whole arm.
         most: actuators that may switch at once.
         weights: cost of a switch of each actuator, whole numbers.
     """

@@ -12,11 +12,8 @@ import msgspec
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.motion.stages.pacing import pace_of
-from hyperbit.controller.planning.core.events import (
-    Payload,
-    Record,
-)
-from hyperbit.controller.program import Counted, Diagnostics, Snapshot, Up, unpack
+from hyperbit.controller.planning.core.events import Payload, Record
+from hyperbit.controller.program import Counted, Diagnostics, Down, PlayableFaults, Snapshot, Up, unpack
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.judge.interface.facts import Request
@@ -43,18 +40,10 @@ class Daemon:
 
     Attributes:
         process: the present process of the planner; None between two.
-        clients: ask it.
-        connection: its connections to the executor.
-        zenoh: the network between clients and process.
-        judge: judges what clients see.
-        witness: sees what the planner does.
         saved: the saved poses, which survive the processes.
-        storage: what survives the processes.
-        mood: of its workers.
         state: the last payload of `state`; None without a process.
         results: payloads of results, by id.
         snapshot: the latest that came from the executor; None without a connection.
-        counts: of what happened.
         together: the service manager ends the executor with the planner.
         wanted: whether a goal was sent while all is calm.
         awake_since: time when the last halt of the process ended [s].
@@ -63,13 +52,8 @@ class Daemon:
         congestion: longest time that a message of the outbox waits for a peer that reads slowly [s].
 
     Args:
-        executed: the arm of the executor.
-        arm: the same arm of the planner.
-        agenda: time and events.
         drawn: returns random numbers for a purpose.
-        executor: the executor's process.
-        note: takes events for the story.
-        judge: judges what clients see.
+        simulation: faults that can be played in simulated boards; None: the boards count as real.
     """
 
     def __init__(
@@ -81,6 +65,7 @@ class Daemon:
         executor: ExecutorProcess,
         note: Callable[[object], None],
         judge: Callable[[Daemon], InterfaceJudge],
+        simulation: PlayableFaults | None,
     ) -> None:
         self.executed, self.arm, self.agenda, self.pace = executed, arm, agenda, pace_of(arm.settings)
         weights = drawn("weights")
@@ -102,6 +87,8 @@ class Daemon:
         self._errs = self._random.choice([0.0, 0.0, 0.3])
         self.awake_since, self.slow, self.congestion, self._offset = 0.0, 0.0, 0.0, UNIX
         self.judge = judge(self)
+        self.simulated, self.judge.gateway.playable = simulation is not None, simulation
+        self.judge.account.simulated = self.simulated
         self.witness = PlannerWitness(self.judge, agenda, self.mood, note)
         self.zenoh = ZenohModel(agenda, drawn("zenoh"), self, lambda: self.awake_since)
         self._claims = drawn("claims")
@@ -111,12 +98,10 @@ class Daemon:
         self.process: PlannerProcess | None = None
         self._processes = 0
         self.network.wake, self.network.hears = self._readable, self._hears
+        self.network.sends = self._sends
         agenda.after(0.0, self.start)
 
-    # --- the process and its service manager
-
     def start(self) -> None:
-        """Starts a process if none runs."""
         if self.process is None:
             self._processes += 1
             self.judge.at(self.agenda.now)
@@ -139,7 +124,6 @@ class Daemon:
         self.agenda.after(self._random.choice([0.2, 1.0, 3.0]), self.start)
 
     def fails(self, reason: str) -> None:
-        """Takes why the core has ended its process."""
         self._note(("planner fails", reason))
         self.counts["planners that failed"] += 1
 
@@ -148,7 +132,6 @@ class Daemon:
             self.process.wake_soon()
 
     def _hears(self, message: Up | None) -> None:
-        """Takes what arrives at the planner's end of the socket."""
         self.judge.at(self.agenda.now)
         if message is None:
             self.snapshot = None
@@ -160,6 +143,10 @@ class Daemon:
             self._counted.append((self.agenda.now, message.counts))
         self.judge.hears(message)
 
+    def _sends(self, message: Down) -> None:
+        self.judge.at(self.agenda.now)
+        self.judge.link.sends(message)
+
     @property
     def counted(self) -> tuple[int, ...]:
         """The executor's counts of switches that came more than a moment ago."""
@@ -170,10 +157,7 @@ class Daemon:
         """Returns the wall clock [UNIX s]."""
         return self.agenda.now + self._offset
 
-    # --- what leaves and enters the process
-
     def arrives(self, sent: Sent, key: str) -> Request:
-        """Takes a message of a client that arrives at the gateway."""
         self.counts[f"asked {key}"] += 1
         self._note(("arrives", sent.client, key, sent.name, sent.payload, sent.attachment, sent.query))
         self.judge.at(self.agenda.now)
@@ -185,7 +169,6 @@ class Daemon:
         self.judge.gateway.unserved(sent.name)
 
     def replies(self, request: object, data: bytes) -> None:
-        """Takes a reply that leaves the process."""
         assert isinstance(request, Request)
         self._note(("replies", request.number, request.key, data[:400]))
         answer = msgspec.json.decode(data)
@@ -195,7 +178,6 @@ class Daemon:
         self.judge.replies(request, data)
 
     def publishes(self, key: str, data: bytes) -> None:
-        """Takes a publication that leaves the process."""
         self.counts[f"published {key}"] += 1
         self.judge.at(self.agenda.now)
         if key == "state":
@@ -209,18 +191,14 @@ class Daemon:
         self.judge.publishes(key, data)
 
     def ends_in_order(self) -> None:
-        """Takes that the process ends in order."""
         self.counts["planners that quit"] += 1
         self.judge.ends_in_order()
 
     def record(self, record: Record) -> None:
-        """Takes what the ledger has written."""
         row = self.storage.rows[record.identity]
         if record.ended is not None and row.accepted is not None:
             self.judge.at(self.agenda.now)
             self.judge.recorded(row.accepted.goal, record.ended.status)
-
-    # --- troubles
 
     @property
     def awake(self) -> bool:
@@ -284,8 +262,19 @@ class Daemon:
         account.note("slow")
         account.note("congested")
 
+    def fill_socket(self, places: int) -> None:
+        """Makes the socket to the executor full after some packets."""
+        self.network.fill(places)
+        self.judge.at(self.agenda.now)
+        self.judge.account.full = True
+
+    def drain_socket(self) -> None:
+        self.judge.at(self.agenda.now)
+        self.judge.account.full = False
+        self.judge.account.note("full")
+        self.network.drain()
+
     def set_clock(self) -> None:
-        """Changes the wall clock."""
         by = self._random.choice([-3600.0, -1.0, -0.1, 0.1, 1.0, 3600.0])
         self._offset += by
         self.judge.at(self.agenda.now)
@@ -298,6 +287,7 @@ class Daemon:
         self.search.errs, self.storage.marked = 0.0, nothing
         self.hold_up()
         self.lose_network(False)
+        self.drain_socket()
         self.storage.full, self.storage.fills_at = False, None
         self.saved.fill(False)
         if self.process is not None:
@@ -306,11 +296,8 @@ class Daemon:
             self.judge.warnings.ledger(self.process.ledger.waits)
 
     def be_calm(self, calm: bool) -> None:
-        """Makes the clients calm."""
         self.clients.calm, self.wanted = calm, False
         self.search.errs = 0.0 if calm else self._errs
-
-    # --- as the planner of a world
 
     @property
     def at_rest(self) -> bool:

@@ -65,11 +65,6 @@ class ExactSearch:
 
     Attributes:
         errs: share of the plans that miss a waypoint; `erred` is called then.
-
-    Args:
-        arm: the arm.
-        space: its configurations.
-        random: for choices.
     """
 
     def __init__(self, arm: Arm, space: Configurations, random: Random) -> None:
@@ -105,14 +100,8 @@ class ExactSearch:
         except Refusal as refusal:
             yield refusal.data
 
-    # --- goals
-
     def trajectory(self, task: PlanGoal) -> Trajectory:
-        """Returns the trajectory of a goal, corrected by the tip bias.
-
-        Raises:
-            Refusal: the goal is invalid.
-        """
+        """Returns the trajectory of a goal, corrected by the tip bias."""
         arm, manipulator = self._arm, self._arm.manipulator
         bias = None if task.bias is None else np.array(task.bias)
         rules = GoalRules(manipulator.dimension, arm.tolerance, arm.angle_tolerance, self._pace, manipulator)
@@ -259,6 +248,8 @@ class ExactSearch:
                 where = f"waypoints[{k}].position"
                 position = ", ".join(f"{x:g}" for x in trajectory.positions[k])
                 return Refusal(Reason.OUT_OF_REACH, where=where, position=position, turned="", nearest="none is near")
+        if (free == graph.permitted).all():  # few switches at a time, and locks
+            return Refusal(Reason.NO_CONFIGURATION, where="waypoints", error="no way of allowed switches leads there")
         facts = {"where": "waypoints", "proof": "as all configurations show", "blocked": "obstacles"}
         return Refusal(Reason.NO_WAY, **facts)
 
@@ -271,8 +262,6 @@ class ExactSearch:
             here = goal
         switches = sum(point.switches for point in points)
         return PlanProof(switches, cost, bound, "optimal" if cost == bound else "bound")
-
-    # --- improvements, set-points
 
     def _improve(self, task: ImprovePlan) -> Iterator[Answer]:
         plan: FoundPlan = task.plan
@@ -314,7 +303,6 @@ class ExactSearch:
 
 
 def described(task: DescribePlan, planned: Planned) -> dict[str, Any]:
-    """Returns the payload of a plan."""
     proof = planned.proof
     return {
         **{"accepted": True, "code": 0, "message": f"{len(planned.points)} waypoints, {proof.switches} switches"},

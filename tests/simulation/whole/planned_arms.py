@@ -91,7 +91,7 @@ def draw_settings(random: Random, arm: ExecutedArm) -> ArmSettings:
         "planner_timeout": arm.planner_timeout,
         "method": random.choice(["minimum-switch", "minimum-switch", "ipop-previous"]),
     }
-    if random.random() < 0.3:
+    if random.random() < 0.45:
         fields["tracker"] = {"noise": 1e-5, "clamp": 1e-3, "hold": 5.0}
     return msgspec.convert(fields, ArmSettings)
 
@@ -102,5 +102,4 @@ def integer(states: NDArray[np.integer]) -> int:
 
 
 def away(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    """Returns the distance of two points."""
     return math.dist(first.tolist(), second.tolist())

@@ -41,12 +41,7 @@ UNIX = 1.7e9  # [s] between the two clocks
 
 SENDS_WITHIN = 0.0003  # [s], time of the outbox for a message
 
-LOGS = (
-    daemon_module.log,
-    loop_module.log,
-    outbox_module.log,
-    server_module.log,
-)
+LOGS = (daemon_module.log, loop_module.log, outbox_module.log, server_module.log)
 
 
 class Killed(BaseException):
@@ -61,12 +56,10 @@ class SimulatedInbox:
         self._process = process
 
     def post(self, event: Event) -> None:
-        """Appends an event."""
         self.events.append(event)
         self.wake()
 
     def wake(self) -> None:
-        """Lets the process run soon."""
         self._process.wake_soon()
 
     def end_wait(self) -> None:
@@ -109,13 +102,7 @@ class PlannerProcess:
 
     Attributes:
         name: number of the process, in the ids of jogs.
-        alive: whether it runs.
         snapshot: the latest that the core took; None without a connection.
-
-    Args:
-        daemon: what surrounds it.
-        number: of the process.
-        random: for delays.
     """
 
     def __init__(self, daemon: Daemon, number: int, random: Random) -> None:
@@ -126,7 +113,9 @@ class PlannerProcess:
         self._actions_left: int | None = None
         arm, storage, post = daemon.arm, daemon.storage, self.post
         self.inbox = SimulatedInbox(self)
-        self.link = SimulatedLink(daemon.network, arm.settings.name, daemon.executed.digest, self._now)
+        self.link = SimulatedLink(
+            daemon.network, arm.settings.name, daemon.executed.digest, self._now, daemon.simulated
+        )
         self.ledger = SimulatedLedger(self._agenda, random, storage, self._lives, post, daemon.record)
         self.searcher = Searcher(self._agenda, random, daemon.search, daemon.mood, post)
         self.session, self.goals = daemon.zenoh.open(), RepeatedGoals(self._now)
@@ -144,7 +133,14 @@ class PlannerProcess:
         )
         published, owed = dict(storage.published), storage.owed()
         beginning = Beginning(
-            f"p{number}-", Tables(0, locked), VersionedScene(0, True, ()), 0, storage.counts, published, owed
+            f"p{number}-",
+            Tables(0, locked),
+            VersionedScene(0, True, ()),
+            0,
+            storage.counts,
+            published,
+            owed,
+            simulated=daemon.simulated,
         )
         self.core = Core(arm, pace_of(arm.settings), beginning)
         clocks = self._now, daemon.wall
@@ -158,14 +154,11 @@ class PlannerProcess:
         self.wake_soon()
         self._send_within(0.0)
 
-    # --- the gateway
-
     def _pause(self, seconds: float) -> None:
         """Holds up no other thread of the gateway."""
         self._daemon.judge.gateway.paused(seconds)
 
     def _send_within(self, seconds: float) -> None:
-        """Lets the outbox send soon."""
         at = self._agenda.now + self._random.uniform(0.0, seconds)
         if at < self._outbox_at:
             self._outbox_at = at
@@ -187,7 +180,6 @@ class PlannerProcess:
             self._agenda.at(at, lambda: self._send(at))
 
     def post(self, event: Event) -> None:
-        """Posts an event of another thread."""
         if self.alive:
             self.inbox.post(event)
 
@@ -201,21 +193,16 @@ class PlannerProcess:
             self._agenda.at(self.quits_at, lambda: self._end(in_order=True))
 
     def notify(self, assignment: str) -> None:
-        """Takes what the loop tells systemd."""
         self._daemon.judge.at(self._agenda.now)
         self._daemon.judge.journal.notifies(assignment)
 
     def _ledger_faults(self) -> tuple[Fault, ...]:
-        """Returns the warning of a ledger that cannot be written."""
         waits = self.ledger.waits
         self._daemon.judge.at(self._agenda.now)
         self._daemon.judge.warnings.ledger(waits)
         return (Fault("ledger-unwritten", "ledger", "the disk is full"),) if waits else ()
 
-    # --- rounds
-
     def wake_soon(self) -> None:
-        """Runs a round within the wake-up time."""
         self._wake_at(self._agenda.now + self._random.uniform(0.0, WAKE_UP))
 
     def _wake_at(self, at: float) -> None:
@@ -252,7 +239,6 @@ class PlannerProcess:
         self._wake_at(self._agenda.now if self.link.ready else max(due, self._agenda.now) + 1e-5)
 
     def _before(self, action: Action) -> None:
-        """Is called before each action."""
         if self._actions_left is not None:
             self._actions_left -= 1
             if self._actions_left < 0:
@@ -261,14 +247,11 @@ class PlannerProcess:
             require(action.number in self.loop._replies, f"{action} answers no request, or one that was answered")
         self._daemon.witness.acts(action)
 
-    # --- its end
-
     def kill_after(self, actions: int) -> None:
         """Kills the process after some further actions, perhaps in the middle of a step."""
         self._actions_left = actions
 
     def kill(self) -> None:
-        """Ends the process at once."""
         if self.alive:
             self.alive = False
             self.searcher.end()

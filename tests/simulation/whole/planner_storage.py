@@ -24,8 +24,6 @@ def nothing() -> None:
 
 @dataclass
 class Row:
-    """A goal in the ledger."""
-
     accepted: AcceptanceEntry | None = None
     ended: ResultEntry | None = None
 
@@ -34,8 +32,6 @@ class Storage:
     """What survives a planner's process.
 
     Attributes:
-        rows: of the ledger.
-        counts: of switches.
         published: marks of published results, by program.
         full: whether the disk is full.
         marked: is called after each mark.
@@ -51,12 +47,10 @@ class Storage:
         self.marked: Callable[[], None] = nothing
 
     def write(self, record: Record) -> None:
-        """Writes a record."""
         row = self.rows.setdefault(record.identity, Row())
         row.accepted, row.ended = row.accepted or record.accepted, row.ended or record.ended
 
     def mark(self, identity: Identity, payload: Payload) -> None:
-        """Marks a result as published."""
         fields = payload["status"], payload["code"], payload["message"], payload["switches"]
         self.published[identity] = ResultEntry(0.0, *fields)
         self.marked()
@@ -80,16 +74,7 @@ class Storage:
 
 
 class SimulatedLedger:
-    """The ledger's thread of one process.
-
-    Args:
-        agenda: time.
-        random: for delays.
-        storage: of the world.
-        alive: returns whether the process lives.
-        post: takes events.
-        note: takes what was written.
-    """
+    """The ledger's thread of one process."""
 
     def __init__(
         self,
@@ -120,11 +105,9 @@ class SimulatedLedger:
 
     @property
     def waits(self) -> bool:
-        """Whether records could not be written."""
         return bool(self._unwritten)
 
     def counts(self, counts: Sequence[int]) -> None:
-        """Writes counts."""
         self._storage.counts = tuple(map(max, self._storage.counts, counts))
 
     def flush(self) -> None:

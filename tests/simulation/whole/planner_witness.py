@@ -41,14 +41,7 @@ from tests.simulation.whole.tasks_seen import seen
 
 
 class PlannerWitness:
-    """Sees what the planner does; also the recorder of its core.
-
-    Args:
-        judge: takes the facts.
-        agenda: time.
-        mood: of the workers.
-        note: takes events for the story.
-    """
+    """Sees what the planner does; also the recorder of its core."""
 
     def __init__(self, judge: InterfaceJudge, agenda: Agenda, mood: Mood, note: Callable[[object], None]) -> None:
         self._judge, self._agenda, self._mood, self._note = judge, agenda, mood, note
@@ -69,7 +62,7 @@ class PlannerWitness:
         match action:
             case ToExecutor(message):
                 self._judge.at(self._agenda.now)
-                self._judge.link.sends(message)
+                self._judge.link.hands_out(message)
                 if isinstance(message, Setpoint):
                     self._judge.streams.sends(message)
                 if not isinstance(message, Alive):

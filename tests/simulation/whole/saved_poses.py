@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import tempfile
 from pathlib import Path
 from random import Random
@@ -15,13 +16,6 @@ MEMORY = Path("/dev/shm")
 
 
 class SavedPoses:
-    """The file.
-
-    Args:
-        random: for damages.
-        judge: is told what becomes of the file.
-    """
-
     def __init__(self, random: Random, judge: Gateway) -> None:
         self._random, self._judge = random, judge
         self._folder = tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None)
@@ -29,7 +23,6 @@ class SavedPoses:
         poses_module.log.setLevel(logging.CRITICAL + 1)
 
     def poses(self) -> Poses:
-        """Returns the poses that a new process reads."""
         judge = self._judge
         if judge.damaged and self._random.random() < 0.5:  # somebody has removed the file
             self._path.unlink()
@@ -42,7 +35,7 @@ class SavedPoses:
 
     def fill(self, full: bool) -> None:
         """Lets the disk be full, or no longer: another file cannot be begun."""
-        fresh = self._path.with_suffix(".new")
+        fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
         if full and not fresh.is_dir():
             fresh.unlink(missing_ok=True)
             fresh.mkdir()

@@ -7,12 +7,22 @@ from collections.abc import Callable, Iterator
 from random import Random
 
 from hyperbit.controller.planning.core.events import Answered, Event
-from hyperbit.controller.planning.core.tasks import Answer, Done, Failed, FollowSetpoint, ImprovePlan, PlanGoal, Task
+from hyperbit.controller.planning.core.tasks import (
+    Answer,
+    DescribePlan,
+    Done,
+    Failed,
+    FollowSetpoint,
+    ImprovePlan,
+    PlanGoal,
+    Task,
+)
 from hyperbit.controller.planning.workers.pool import THREADS
 from tests.simulation.agenda import Agenda
 from tests.simulation.whole.exact_search import ExactSearch
 
 ABANDONED_WITHIN = 0.05  # [s]
+LONG_PLAN = 4.0  # times as long as other searches takes a plan that is only described
 USUAL_DELAY = 0.01  # [s], mean time of a task
 
 
@@ -34,7 +44,6 @@ class Mood:
         return self.delay > USUAL_DELAY or self.fails > 0.0 or self.hangs
 
     def mend(self) -> None:
-        """Ends all faults."""
         self.delay, self.fails, self.hangs = USUAL_DELAY, 0.0, False
 
 
@@ -43,13 +52,6 @@ class Searcher:
 
     Attributes:
         watch: takes number and task of each that ends, with its last answer.
-
-    Args:
-        agenda: time.
-        random: for delays.
-        search: answers tasks.
-        mood: of the world.
-        post: takes the answers.
     """
 
     def __init__(
@@ -64,7 +66,6 @@ class Searcher:
 
     @property
     def busy(self) -> int:
-        """Number of tasks that were not answered."""
         return sum(map(len, self._lanes.values()))
 
     def end(self) -> None:
@@ -99,11 +100,10 @@ class Searcher:
         elif self._random.random() < self._mood.fails:
             self._agenda.after(delay, lambda: self._end(number, Failed("ValueError: drawn")))
         else:
-            delay *= 0.3 if isinstance(task, FollowSetpoint) else 1.0
+            delay *= 0.3 if isinstance(task, FollowSetpoint) else LONG_PLAN if isinstance(task, DescribePlan) else 1.0
             self._agenda.after(delay, lambda: self._proceed(number, self._search.answers(task), task))
 
     def _proceed(self, number: int, answers: Iterator[Answer], task: Task) -> None:
-        """Gives the next answer of a task."""
         if not self._runs(number) or number in self._abandoned:
             return
         answer = next(answers)

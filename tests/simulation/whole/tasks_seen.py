@@ -26,7 +26,6 @@ from tests.simulation.judge.interface.tasks import Search
 
 
 def seen(number: int, task: Task) -> Search:
-    """Returns what the judge knows of a task."""
     match task:
         case PlanGoal(message, received, bias, on):
             return Search(number, "goal", **of_basis(on), goal=of_goal(message, received), bias=bias)
@@ -51,15 +50,12 @@ def seen(number: int, task: Task) -> Search:
 
 
 def of_basis(basis: Basis) -> dict[str, Any]:
-    """Returns the basis of a search."""
     return {"start": tuple(basis.start), "tables": basis.tables.locked, "cubes": of_scene(basis.scene)}
 
 
 def of_scene(scene: VersionedScene) -> tuple[Cube, ...]:
-    """Returns the obstacles of a scene."""
     return () if scene.free else tuple(Cube(*cube) for cube in scene.keep_out)
 
 
 def of_goal(message: GoalMessage, received: float = 0.0) -> dict[str, Any]:
-    """Returns the fields of a goal."""
     return {**msgspec.to_builtins(message), "received": received}

@@ -20,15 +20,7 @@ POSES = ("pick", "place", "a b", "P1")
 
 
 class Wishes:
-    """Draws what clients ask for.
-
-    Attributes:
-        numbers: of goals.
-
-    Args:
-        daemon: whose clients they are.
-        random: of the clients.
-    """
+    """Draws what clients ask for."""
 
     def __init__(self, daemon: Daemon, random: Random) -> None:
         self.numbers = 0

@@ -19,12 +19,9 @@ PROMPT = 0.001  # [s], the same for most of them
 
 
 class Bytes(NamedTuple):
-    """A payload or attachment."""
-
     data: bytes
 
     def to_bytes(self) -> bytes:
-        """Returns the bytes."""
         return self.data
 
 
@@ -33,8 +30,6 @@ class Sent:
     """A message of a client.
 
     Attributes:
-        client: number of the client.
-        name: key expression.
         query: whether it is a query; else a put.
         at: time of sending [s].
         replies: takes the payload of each reply.
@@ -83,7 +78,6 @@ class SimulatedQuery(SimulatedSample):
         self._sent, self._session, self._request, self._over = sent, session, request, False
 
     def reply(self, key: str, data: bytes, encoding: object) -> None:
-        """Sends a reply."""
         assert not self._over, f"a query on {self.key_expr} that has ended is answered"
         self._session.leave(lambda: self._deliver(data))
 
@@ -100,8 +94,6 @@ class SimulatedQuery(SimulatedSample):
 
 
 class Declared:
-    """A declared key."""
-
     def __init__(self, session: SimulatedSession, name: str, handle: Callable[[Any], object], query: bool) -> None:
         self.name, self.handle, self.query = name, handle, query
         self._session, self._waiting = session, deque[SimulatedSample](maxlen=MOST_SAMPLES)
@@ -114,19 +106,15 @@ class Declared:
         return self._waiting.popleft() if self._waiting else None
 
     def undeclare(self) -> None:
-        """Ends the declaration."""
         self._session.declared.remove(self)
 
 
 class Publisher:
-    """A publisher of one key."""
-
     def __init__(self, session: SimulatedSession, key: str) -> None:
         self._session, self._key = session, key
         self.matching_status = session.network.matching
 
     def put(self, data: bytes) -> None:
-        """Publishes."""
         observer, key = self._session.network.observer, self._key
         self._session.leave(lambda: observer.publishes(key, data))
 
@@ -135,7 +123,6 @@ class SimulatedSession:
     """The session of one process, with the part of `zenoh.Session` that the gateway uses.
 
     Attributes:
-        declared: keys.
         open: whether the process lives.
         leaving: what was sent and has not left the process, in order.
     """
@@ -145,23 +132,18 @@ class SimulatedSession:
         self._last, self.leaving = 0.0, deque[Callable[[], None]]()
 
     def declare_queryable(self, name: str, handler: Any) -> Declared:
-        """Declares a queryable."""
         return Declared(self, name, getattr(handler, "callback", handler), query=True)
 
     def declare_subscriber(self, name: str, handler: Any) -> Declared:
-        """Declares a subscriber."""
         return Declared(self, name, getattr(handler, "callback", handler), query=False)
 
     def declare_publisher(self, name: str, **options: object) -> Publisher:
-        """Declares a publisher."""
         return Publisher(self, name.rpartition("/")[2])
 
     def liveliness(self) -> SimulatedSession:
-        """Returns an object that declares tokens."""
         return self
 
     def declare_token(self, name: str) -> Declared:
-        """Declares a token."""
         return Declared(self, name, lambda sample: None, query=False)
 
     def receive(self, sent: Sent) -> None:
@@ -173,7 +155,6 @@ class SimulatedSession:
             if declared in self.declared:
                 request = self.network.observer.arrives(sent, declared.name.rpartition("/")[2])
                 it = SimulatedQuery(sent, self, request) if sent.query else SimulatedSample(sent)
-                self.network.arriving = request
                 declared.handle(it)
 
     def leave(self, happen: Callable[[], None]) -> None:
@@ -199,12 +180,10 @@ class ZenohModel:
     """The network between clients and the daemon.
 
     Attributes:
-        session: of the present process; None without one.
         awake_at: returns when the process is awake [s].
         gone: clients that have vanished.
         lost: whether the daemon has lost all clients; what these send meanwhile does not arrive.
         matching: whether a recorder listens.
-        arriving: what the observer returned for the message that is handed over now.
     """
 
     def __init__(self, agenda: Agenda, random: Random, observer: Observer, awake_at: Callable[[], float]) -> None:
@@ -213,11 +192,9 @@ class ZenohModel:
         self.gone: set[int] = set()
         self.lost = False
         self.matching = Matching(random.random() < 0.3)
-        self.arriving: object = None
         self._last: dict[int, float] = {}
 
     def open(self) -> SimulatedSession:
-        """Returns the session of a new process."""
         self.session = SimulatedSession(self)
         self._last.clear()  # nothing waits for a process that has ended
         return self.session
@@ -259,7 +236,6 @@ class ZenohModel:
 
 @lru_cache(1000)
 def matches(expression: str, name: str) -> bool:
-    """Returns whether a key expression includes a key."""
     if "*" not in expression:
         return expression == name
     pattern = re.escape(expression).replace(r"\*\*/", "(?:.*/)?").replace(r"\*\*", ".*").replace(r"\*", "[^/]*")

@@ -25,7 +25,6 @@ pytestmark = pytest.mark.arm(boards=QUICK)
 
 @pytest.fixture
 def queue(interface: Interface) -> Interface:
-    """The interface, if its frames can be delayed."""
     if isinstance(interface, vcan.Interface) and (reason := vcan.queueless()):
         pytest.skip(reason)
     return interface

@@ -29,7 +29,6 @@ RIGHT_ONES: dict[str, list[Any]] = {
 
 
 def spoiled(key: str, chance: random.Random) -> bytes:
-    """A payload with one or more invalid parts."""
     right = RIGHT_ONES[key]
     data = requests.spoiler(*right)(requests.written(chance.choice(right)), chance)
     try:

@@ -20,7 +20,6 @@ pytestmark = [pytest.mark.fresh, pytest.mark.buses("virtual")]
 
 @pytest.fixture
 def campaign(kind: str, nurseries: dict[str, Nursery], cache: Path, tmp_path: Path) -> Iterator[Campaign]:
-    """Kills on one arm."""
     bus = {"interface": "virtual", "channel": "none"}
     file = arms.write(tmp_path, "planar", "none", bus, {})
     planners = KillNursery("planner", {"XDG_CACHE_HOME": str(cache.parent)}, file)

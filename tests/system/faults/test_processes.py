@@ -130,7 +130,7 @@ def test_a_local_halt_works_while_the_planner_is_stopped(lives: Lives, system: S
     goal = lives.send("a", MIDDLE, RIGHT, times=[0.0, HOUR])
     eventually(lambda: client.feedback(goal))
     system.planner.freeze()
-    assert "stopped" in halt_local(system.name, system.socket)
+    assert "stopped" in halt_local(system.name, system.socket)[0].message
     with lives.operator() as operator:
         snapshot = operator.wait_for("stopped")
         assert snapshot.program == -1

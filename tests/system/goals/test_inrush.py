@@ -18,7 +18,6 @@ pytestmark = pytest.mark.arm(inrush=INRUSH)
 
 @pytest.fixture
 def counts(motions: Motions) -> list[int]:
-    """The number of actuators that each SYNC switches."""
     counts, before = list[int](), [motions.outputs]
     take = motions._sync
 

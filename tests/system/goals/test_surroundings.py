@@ -83,7 +83,6 @@ def named(state: dict[str, Any], code: str) -> bool:
 
 @pytest.fixture
 def disk(system: System) -> Iterator[Path]:
-    """A small disk for the ledger of an arm that starts now."""
     folder = system.folder / "disk"
     folder.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=512k", "tmpfs", str(folder)]

@@ -47,7 +47,6 @@ def run(moment: str, victims: list[str], each: int, first: int) -> dict[str, Tal
 
 
 def run_process(moment: str, arguments: argparse.Namespace) -> dict[str, dict[str, object]]:
-    """Kills at one moment in a process of its own."""
     command = [sys.executable, "-m", "tests.system.kills", "--one", moment, "--each", str(arguments.each)]
     command += ["--first", str(arguments.first), "--process", *arguments.process]
     arguments.logs.mkdir(parents=True, exist_ok=True)

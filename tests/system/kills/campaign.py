@@ -28,8 +28,6 @@ ATTEMPTS = 5  # to reach a moment
 
 
 class KillNursery(Nursery):
-    """Forks planners with a trigger."""
-
     module = "tests.system.kills.nursery"
 
 
@@ -38,13 +36,10 @@ class Tally:
     """The counts of one moment and process.
 
     Attributes:
-        kills: number of kills.
         goals: number of goals and jogs whose acceptance a client received.
         results: number of results, of all goals and jogs.
         unanswered: goals and jogs with a result whose acceptance no client received.
         doubled: goals with more than one result; goals without an answer count, too.
-        missing: accepted goals without a result.
-        lost: goals with the status "lost".
         repeated: goals that two planners accepted, because a client without an answer asked again.
         again: goals with a result that came again, and was marked as repeated.
         wrong: doubled and missing results, and what else was wrong, in words.
@@ -63,11 +58,7 @@ class Tally:
 
 
 class Campaign:
-    """Kills of one arm's processes.
-
-    Attributes:
-        tallies: by moment and process.
-    """
+    """Kills of one arm's processes."""
 
     def __init__(self, make: Callable[[], System]) -> None:
         self._make = make
@@ -77,7 +68,6 @@ class Campaign:
         self._goals: dict[str, tuple[Tally, str, int]] = {}  # with the number of its results
 
     def close(self) -> None:
-        """Ends the arm."""
         self.finish()
         self._stack.close()
         self._lives = None
@@ -117,8 +107,6 @@ class Campaign:
         lives.motions._listener = buffered  # type: ignore[assignment]  # all that motions need
         return lives
 
-    # --- one kill
-
     def _reach(self, lives: Lives, moment: str, order: Order, scene: Scene) -> str:
         """Orders a kill, brings its moment about, and starts again what was killed.
 
@@ -149,7 +137,6 @@ class Campaign:
         return hit
 
     def _recover(self, lives: Lives) -> None:
-        """Waits until the arm is ready, without locks and obstacles."""
         for lock in lives.ready()["degraded"]:
             eventually(lambda label=lock["actuator"]: self._unlock(lives, label))
         eventually(lambda: lives.client.ask("obstacles", regions=[])["accepted"])
@@ -159,7 +146,6 @@ class Campaign:
         return bool(lives.client.ask("degrade", actuator=label, state=None)["accepted"])
 
     def _judge(self, scene: Scene, told: str, tally: Tally) -> None:
-        """Counts results of the goals, and checks the arm."""
         lives, goals = scene.lives, scene.requests.goals()
         for goal in (goal for goal, accepted in goals.items() if accepted):
             try:
@@ -221,7 +207,6 @@ class Buffered:
         return self._frames.popleft() if self._frames else None
 
     def close(self) -> None:
-        """Ends the thread."""
         self._over.set()
         self._thread.join()
 
@@ -232,8 +217,6 @@ class Buffered:
 
 
 class Log:
-    """What a trigger writes to a log from now on."""
-
     def __init__(self, path: Path) -> None:
         self._path = path
         self._begin = path.stat().st_size if path.exists() else 0
@@ -247,7 +230,6 @@ class Log:
 
 
 def command(system: System, order: Order) -> None:
-    """Gives an order to the planner."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as client:
         eventually(lambda: client.connect_ex(str(system.folder / SOCKET)) == 0)
         client.send(json.dumps(order).encode())
@@ -255,7 +237,6 @@ def command(system: System, order: Order) -> None:
 
 
 def rows(system: System, goal: str) -> list[dict[str, Any]]:
-    """Returns the ledger's entries of a goal."""
     return [row for row in read(system.ledger)[1] if row["id"] == goal]
 
 

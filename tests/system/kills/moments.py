@@ -32,7 +32,6 @@ class Moment(NamedTuple):
         steps: of the trigger; "later" is a random time after "after".
         count: most times that a step is reached before the kill.
         latest: longest random time of "later" [s].
-        scene: has the planner reach the moment while the context lasts.
     """
 
     steps: tuple[str, ...]
@@ -42,11 +41,7 @@ class Moment(NamedTuple):
 
 
 class Requests:
-    """Sends requests of which some are never answered, because the planner is killed.
-
-    Attributes:
-        refusals: messages of the refusals.
-    """
+    """Sends requests of which some are never answered, because the planner is killed."""
 
     def __init__(self, lives: Lives) -> None:
         self._lives, self.refusals = lives, list[str]()
@@ -96,8 +91,6 @@ class Requests:
 
 
 class Scene(NamedTuple):
-    """What a moment needs."""
-
     lives: Lives
     requests: Requests
     chance: random.Random
@@ -193,7 +186,6 @@ TRIGGERS = {"jogging": "offered"}  # moments of the trigger by another name
 
 
 def ordered(moment: str, victim: str, chance: random.Random, planner: int, executor: int) -> Order:
-    """Returns a random order to kill `victim` at a moment."""
     steps, count, latest, _ = MOMENTS[moment]
     step = chance.choice(steps)
     delay = chance.uniform(0.0, latest) if step == "later" else 0.0

@@ -46,7 +46,6 @@ class Order(NamedTuple):
     """What to kill, and when.
 
     Attributes:
-        moment: of the planner.
         step: "before", "within" or "after"; within a step of the core means after one of its actions. Of a result
             also "unmarked", "marked" and "put".
         count: number of times that this step is reached.
@@ -69,7 +68,6 @@ class Trigger:
         self._reached = 0
 
     def listen(self, path: Path) -> None:
-        """Accepts orders at a socket, in a thread."""
         path.unlink(missing_ok=True)
         server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         server.bind(str(path))
@@ -77,7 +75,6 @@ class Trigger:
         threading.Thread(target=self._serve, args=(server,), name="kills", daemon=True).start()
 
     def reach(self, moment: str | None, step: str) -> None:
-        """Notes that a step was reached; kills if it is the ordered one."""
         order = self._order
         if order is None or (order.moment, order.step) != (moment, step):
             return
@@ -93,7 +90,6 @@ class Trigger:
             self._kill(order)
 
     def _kill(self, order: Order) -> None:
-        """Kills the processes of an order, and notes the time."""
         os.write(2, f"{MARK} at {time.monotonic()}\n".encode())
         for pid in order.pids:
             os.kill(pid, signal.SIGKILL)
@@ -108,7 +104,6 @@ class Trigger:
 
 
 def install(folder: Path) -> None:
-    """Has the planner of this process reach the steps of a trigger."""
     trigger = Trigger()
     trigger.listen(folder / SOCKET)
     outbox.RECONNECTED = RECONNECTED
@@ -143,14 +138,12 @@ def install(folder: Path) -> None:
 
 
 def moment_of_event(event: Event) -> str | None:
-    """Returns the moment of an event, None if it has none."""
     if isinstance(event, FromExecutor):
         return HEARD.get(type(event.message))
     return {Published: "published", Quit: "shutdown"}.get(type(event))
 
 
 def moment_of_action(action: Action) -> str | None:
-    """Returns the moment of an action, None if it has none."""
     if isinstance(action, ToExecutor):
         return SENT.get(type(action.message))
     return "obstacles" if isinstance(action, Start) and isinstance(action.task, BuildScene) else None

@@ -69,10 +69,6 @@ def write(folder: Path, kind: str, name: str, bus: dict[str, str], fields: dict[
     """Writes the file of an arm, in a folder.
 
     Args:
-        folder: of the file and its tables.
-        kind: of KINDS.
-        name: of the arm.
-        bus: interface and channel of the one bus.
         fields: replace fields of the file; those of `boards` one by one.
     """
     document = KINDS[kind]()

@@ -21,8 +21,6 @@ AT_ONCE = 0.5  # [s] in which an unwanted answer would arrive
 
 
 class Guard:
-    """Sessions that show a certificate."""
-
     def __init__(self, system: System, keys: Path, stack: ExitStack) -> None:
         self.system, self.keys, self.stack = system, keys, stack
 

@@ -26,8 +26,6 @@ class Lives:
     Planners connect to the observer's session, which listens. It therefore receives all messages, from the first on.
 
     Attributes:
-        system: the arm.
-        client: receives the messages of all planners.
         motions: of the boards, from the first start on.
     """
 
@@ -80,7 +78,6 @@ class Lives:
         return self.send(name, *((LEFT, RIGHT, MIDDLE)[k % 3] for k in range(31)), times=times)
 
     def begun(self) -> None:
-        """Waits for a switch on the bus."""
         before = self.motions.switched.sum()
 
         def moved() -> bool:

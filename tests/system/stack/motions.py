@@ -29,7 +29,6 @@ class Motions:
         moved_at: times of SYNCs that switched an output [UNIX s].
         syncs: times of all SYNCs [UNIX s].
         rows: (A,) outputs after each SYNC that switched one.
-        identifiers: of all frames.
         deaf: whether the interface was removed or down, so that nothing is known.
     """
 
@@ -52,7 +51,6 @@ class Motions:
         self._operational = [True] * len(self._layout.boards)
 
     def begin(self, boards: Simulation) -> None:
-        """Counts switches of the boards from now on."""
         self._before = boards.switches()
 
     def read(self) -> None:
@@ -67,13 +65,11 @@ class Motions:
             self.deaf = True
 
     def clear(self) -> None:
-        """Forgets the frames and their times."""
         self.read()
         for it in (self.moved_at, self.syncs, self.rows, self.identifiers):
             it.clear()
 
     def still(self) -> bool:
-        """Whether there was no SYNC since `clear`."""
         self.read()
         return not self.syncs
 

@@ -30,14 +30,12 @@ NEEDED = {
 
 
 def execute(arguments: list[str]) -> int:
-    """The process of `hyperbit execute`."""
     from hyperbit.controller.executor.__main__ import main
 
     return main(arguments)
 
 
 def run(arguments: list[str]) -> int:
-    """The process of `hyperbit run`."""
     import typer
 
     from hyperbit.controller.commands.operate.run import run
@@ -52,7 +50,6 @@ COMMANDS = {"executor": execute, "planner": run}
 
 
 def prepare(file: Path) -> None:
-    """Loads the kernels' machine code and an arm's densities."""
     from hyperbit.controller.arm.arm import load
     from hyperbit.controller.commands.common import densities_of
     from hyperbit.controller.search.solver import Solver

@@ -13,10 +13,8 @@ class Observer:
     """Receives everything that an arm's daemon publishes.
 
     Attributes:
-        client: for requests.
         heard: messages of each key, oldest first.
         times: of their arrival [UNIX s].
-        accepted: ids of its accepted goals.
         sent: when each goal was sent, by id [UNIX s].
         streams: spans in which set-points were followed [UNIX s].
     """
@@ -37,8 +35,6 @@ class Observer:
 
         return remember
 
-    # --- requests
-
     def ask(self, key: str, **payload: Any) -> Message:
         return self.client.request(key, payload, timeout=PATIENCE)
 
@@ -49,7 +45,6 @@ class Observer:
         return self.send("goal", waypoints=points, **fields)
 
     def send(self, key: str, **payload: Any) -> Message:
-        """Sends a goal or a jog, and remembers it if it is accepted."""
         sent = time.time()
         answer = self.ask(key, **payload)
         if answer["accepted"]:
@@ -66,20 +61,15 @@ class Observer:
         return result
 
     def reset(self) -> None:
-        """Resets, and waits until the arm is ready."""
         assert self.ask("reset")["accepted"]
         self.wait_now("ready")
 
-    # --- waiting
-
     @property
     def state(self) -> Message:
-        """The latest state."""
         return self.heard["state"][-1]
 
     @property
     def codes(self) -> list[str]:
-        """Codes of the faults in the latest state."""
         return [fault["code"] for fault in self.state["faults"]]
 
     def wait_for(self, mode: str, reason: str = "", after: int = 0) -> Message:
@@ -96,7 +86,6 @@ class Observer:
         return self.wait_for(mode, reason, after=len(self.heard["state"]))
 
     def next_state(self) -> Message:
-        """Returns the next state."""
         before = len(self.heard["state"])
         return eventually(lambda: self.heard["state"][before:])[0]
 
@@ -121,11 +110,9 @@ class Observer:
         return heard[:1] + [result for result in heard[1:] if not result.get("repeated")]
 
     def first_results(self) -> list[Message]:
-        """Returns the results that are not marked as repeated."""
         return [result for result in self.heard["result"] if not result.get("repeated")]
 
     def repeats(self, goal: str) -> bool:
-        """Returns whether a result of a goal came again, and was marked as repeated."""
         return len(self.results(goal)) < sum(names(result, goal) for result in self.heard["result"])
 
     def span(self, goal: str) -> tuple[float, float]:
@@ -142,7 +129,6 @@ class Observer:
         return self.feedback(goal)
 
     def diagnosed(self) -> Message:
-        """Returns the next diagnostics."""
         before = len(self.heard["diagnostics"])
         return eventually(lambda: self.heard["diagnostics"][before:])[0]
 

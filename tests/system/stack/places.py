@@ -26,7 +26,6 @@ def states_at(client: Observer, arm: Arm, goal: tuple[float, ...]) -> np.ndarray
 
 
 def first_to_switch(client: Observer, arm: Arm, goal: tuple[float, ...]) -> tuple[str, int]:
-    """The first actuator that a goal switches, and its present state."""
     wanted, now = states_at(client, arm, goal), client.wait_now("ready")["measured"]
     k = int(np.flatnonzero(wanted != now)[0])
     return arm.manipulator.actuators[k], now[k]

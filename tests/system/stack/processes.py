@@ -14,12 +14,7 @@ ROOT = Path(__file__).parents[3]
 
 
 class Process:
-    """A command that was forked in a nursery.
-
-    Attributes:
-        pid: id of the process.
-        log: file of its output.
-    """
+    """A command that was forked in a nursery."""
 
     def __init__(self, pid: int, log: Path) -> None:
         self.pid, self.log = pid, log
@@ -40,13 +35,11 @@ class Process:
         self.send(signal.SIGCONT)
 
     def end(self, number: signal.Signals = signal.SIGTERM) -> None:
-        """Ends the process by a signal, and waits for its end."""
         if self.alive:
             self.send(number)
             self.gone()
 
     def gone(self) -> None:
-        """Waits for the end of the process."""
         eventually(lambda: not self.alive, told=lambda: f"of process {self.pid}: {tail(self.log)}")
 
     def kill(self) -> None:
@@ -54,11 +47,7 @@ class Process:
 
 
 class Nursery:
-    """Forks commands of one kind, "executor" or "planner", in a process that has imported their modules.
-
-    Attributes:
-        module: that runs in this process.
-    """
+    """Forks commands of one kind, "executor" or "planner", in a process that has imported their modules."""
 
     module = "tests.system.stack.nursery"
 
@@ -71,7 +60,6 @@ class Nursery:
         self._ready = False
 
     def start(self, arguments: list[str], log: Path, environment: dict[str, str]) -> Process:
-        """Starts a command."""
         with self._lock:
             if not self._ready:
                 assert self._read() == "ready\n"
@@ -91,5 +79,4 @@ class Nursery:
 
 
 def tail(log: Path, lines: int = 30) -> str:
-    """Returns the end of a log."""
     return "\n".join(log.read_text().splitlines()[-lines:]) if log.exists() else "(no log)"

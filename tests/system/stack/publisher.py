@@ -30,11 +30,7 @@ def circle(t: float) -> tuple[float, float]:
 
 
 class Publisher:
-    """Streams set-points of a goal that moves with the clock.
-
-    Attributes:
-        position: the last position of the goal.
-    """
+    """Streams set-points of a goal that moves with the clock."""
 
     def __init__(
         self, session: zenoh.Session, client: Observer, name: str,
@@ -93,7 +89,6 @@ class Publisher:
                         raise
 
     def status(self) -> dict[str, Any]:
-        """Returns the next state of the stream in `diagnostics`."""
         status: dict[str, Any] = self._client.diagnosed()["setpoint"]
         return status
 

@@ -5,7 +5,6 @@ import itertools
 import os
 import shutil
 import signal
-import socket
 import tempfile
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -27,6 +26,7 @@ from hyperbit.controller.workspace.cache import load_or_map
 from hyperbit.drivers.canopen.wiring import BusWiring, Wiring
 from hyperbit.drivers.simulation.simulation import Simulation
 from tests import emulated, vcan
+from tests.endpoints import free_endpoint
 from tests.system.stack import arms
 from tests.system.stack.observer import Observer
 from tests.system.stack.processes import Nursery, Process, tail
@@ -41,24 +41,17 @@ class System:
 
     Attributes:
         kind: of bus, "emulated" or "socketcan".
-        arm: read from its file.
-        file: of the arm.
         interface: the bus, which tests take down and bring back.
         wiring: of the boards, on the bus as this process opens it.
         boards: the simulated boards, in threads of this process.
-        executor: its process, once started.
         planner: its process, if it has one of its own.
         daemon: of the planner, if it is in this process.
-        ledger: the planner's.
         config: of the planner's Zenoh session; by default it listens at the endpoint.
         clients: returns the configuration of clients' sessions.
 
     Args:
         kind: of bus.
         base: of `arms.KINDS`.
-        fields: of the arm's file.
-        nurseries: of executors and planners.
-        cache: the folder of densities.
     """
 
     def __init__(
@@ -79,7 +72,7 @@ class System:
         self.wiring: Wiring = replace(executed.wiring, buses=(self.bus,))
         self.timing = executed.timing
         self.socket, self.ledger = self.folder / "executor.sock", self.folder / "ledger.sqlite"
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.endpoint = free_endpoint()
         self.config: zenoh.Config | None = None
         self.clients = lambda: session.configuration("client", connect=self.endpoint)
         self.executor: Process | None = None
@@ -103,8 +96,6 @@ class System:
             self.executor.kill()
         self._closing.close()
 
-    # --- parts
-
     def _make_interface(self) -> emulated.Interface | vcan.Interface:
         if self.kind == "socketcan":
             return self._closing.enter_context(vcan.made())
@@ -124,19 +115,16 @@ class System:
         return boards
 
     def start_executor(self) -> Process:
-        """Starts an executor in a process of its own."""
         arguments = [str(self.file), "--socket", str(self.socket)]
         self.executor = self._nurseries["executor"].start(arguments, self.folder / "executor.log", self._environment)
         return self.executor
 
     def start_planner(self) -> Daemon:
-        """Starts a planner in threads of this process."""
         config = self.config or session.configuration("peer", listen=self.endpoint)
         self.daemon = self._planner_end.enter_context(self.serving(config, self.ledger))
         return self.daemon
 
     def serving(self, config: zenoh.Config, ledger: Path) -> AbstractContextManager[Daemon]:
-        """A planner in threads of this process, while the context lasts."""
         arm = self.arm
         densities = load_or_map(arm.reduced, arm.pixel, arm.level_pixels, self._cache)
         digest = hashlib.sha256(self.file.read_bytes()).hexdigest()
@@ -156,7 +144,6 @@ class System:
         return self.planner
 
     def end_planner(self) -> None:
-        """Ends the planner in order."""
         self._planner_end.close()
         self._planner_end, self.daemon = ExitStack(), None
         if self.planner is not None and self.planner.alive:
@@ -166,8 +153,6 @@ class System:
     @property
     def _environment(self) -> dict[str, str]:
         return {"STATE_DIRECTORY": str(self.folder), "XDG_CACHE_HOME": str(self._cache.parent), "NOTIFY_SOCKET": ""}
-
-    # --- for the test's assertions
 
     def session(self) -> zenoh.Session:
         """A client's session; the caller closes it."""
@@ -196,25 +181,16 @@ class System:
             yield listening
 
     def drives(self) -> list[int]:
-        """The output of each actuator, 0 or 1."""
         with self.boards._lock:
             return self.boards._boards.drives()
 
     def counts(self) -> list[int]:
-        """The ledger's counts of each actuator."""
         switches = read(self.ledger)[0]
         return [switches.get(label, 0) for label in self.arm.manipulator.actuators]
 
     def logs(self) -> str:
-        """The ends of the processes' logs."""
         names = ("executor", "planner")
         return "\n".join(f"--- {name}\n{tail(self.folder / f'{name}.log')}" for name in names)
-
-
-def free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 def settled(observer: Observer) -> bool:

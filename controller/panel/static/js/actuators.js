@@ -9,8 +9,13 @@ export function showActuators(connection, notify) {
   const card = document.getElementById("actuators");
   const grid = el("div", { class: "grid", role: "listbox", "aria-label": "Actuators", tabIndex: 0 });
   const sentence = el("p");
-  const buttons = el("div", { class: "buttons" });
-  const detail = el("div", { class: "detail" }, sentence, buttons);
+  const jog = el("button", { type: "button", id: "jog" });
+  const lockTo = (state) => async () =>
+    notify(await connection.ask({ do: "lock", actuator: labels[chosen], state }), `${state === null ? "Unlock" : "Lock"} ${labels[chosen]}`);
+  const locks = [0, 1].map((state) => el("button", { type: "button", onclick: lockTo(state) }, `Lock ${WORDS[state]}`));
+  const unlock = el("button", { type: "button", onclick: lockTo(null) }, "Unlock");
+  const buttons = el("div", { class: "buttons", hidden: true }, jog, ...locks, unlock);
+  const detail = el("div", { class: "detail", hidden: true }, sentence, buttons);
   card.append(
     el("p", { class: "hint" }, "■ extended, □ contracted, ≠ measured differs, ? unknown, L locked"),
     grid,
@@ -20,19 +25,23 @@ export function showActuators(connection, notify) {
   let cells = [];
   let chosen = null;
   let shown = "";
-  let offered = "";
+  let jogged = null; // the request of a hold
+  onHold(jog, async () => notify(await connection.ask(jogged), `Jog ${jogged.actuator}`), notify);
 
   connection.on("arm", (arm) => {
     if (String(arm.actuators) === String(labels)) return;
     labels = arm.actuators;
-    cells = labels.map((label, k) => el("button", { type: "button", class: "cell", role: "option", tabIndex: -1, onclick: () => choose(k) }));
+    chosen = null;
+    grid.removeAttribute("aria-activedescendant");
+    detail.hidden = true;
+    cells = labels.map((label, k) => el("button", { type: "button", id: `cell-${k}`, class: "cell", role: "option", tabIndex: -1, onclick: () => choose(k) }));
     const modules = new Map();
     labels.forEach((label, k) => {
       const module = label.split(".")[0];
       if (!modules.has(module)) modules.set(module, []);
       modules.get(module).push(cells[k]);
     });
-    fill(grid, ...[...modules].map(([module, own]) => el("div", { class: "module" }, el("span", { class: "number" }, module), ...own)));
+    fill(grid, ...[...modules].map(([module, own]) => el("div", { class: "module", role: "group", "aria-label": `module ${module}` }, el("span", { class: "number", "aria-hidden": "true" }, module), ...own)));
     shown = "";
     describe();
   });
@@ -41,17 +50,19 @@ export function showActuators(connection, notify) {
   connection.on("you", describe);
   connection.on("diagnostics", () => describe());
   grid.addEventListener("keydown", (event) => {
-    const step = { ArrowRight: 1, ArrowLeft: -1, ArrowDown: 1, ArrowUp: -1 }[event.key];
+    const step = { ArrowRight: 1, ArrowLeft: -1, ArrowDown: 1, ArrowUp: -1, Home: -Infinity, End: Infinity }[event.key];
     if (!step) return;
     event.preventDefault();
-    choose(Math.min(Math.max((chosen ?? -step) + step, 0), labels.length - 1));
+    choose(Math.min(Math.max((chosen ?? -Math.sign(step)) + step, 0), labels.length - 1));
   });
 
   function choose(k) {
     chosen = k;
+    detail.hidden = false;
+    grid.setAttribute("aria-activedescendant", cells[k].id);
     shown = "";
     describe();
-    cells[k]?.scrollIntoView({ block: "nearest" });
+    cells[k].scrollIntoView({ block: "nearest" });
   }
 
   function describe() {
@@ -67,7 +78,7 @@ export function showActuators(connection, notify) {
       labels.forEach((label, k) => paint(cells[k], at(state, k), locked.has(label), k === chosen));
       if (chosen !== null) tell(at(state, chosen), locked.get(labels[chosen]), count);
     }
-    if (chosen !== null) offer(labels[chosen], state.commanded?.[chosen] === 1 ? 0 : 1, locked.get(labels[chosen]), viewer);
+    if (chosen !== null) offer(labels[chosen], state.commanded?.[chosen] === 1 ? 0 : 1, locked.get(labels[chosen]));
   }
 
   // What is known of an actuator.
@@ -80,18 +91,17 @@ export function showActuators(connection, notify) {
       lock === undefined ? "" : `, locked ${words(lock)}`, count === undefined ? "" : `; ${count} switches`);
   }
 
-  // Draws the buttons anew only if they change: a button that is replaced between press and release is not clicked.
-  function offer(label, to, lock, viewer) {
-    const now = JSON.stringify([label, to, lock, viewer]);
-    if (now === offered || buttons.querySelector(".holding")) return;
-    offered = now;
-    const ask = (request, what) => async () => notify(await connection.ask(request), what);
-    const jog = el("button", { type: "button", id: "jog" }, `Hold to ${to ? "extend" : "contract"}`);
-    onHold(jog, ask({ do: "jog", actuator: label, state: WORDS[to] }, `Jog ${label}`));
-    const locks = [0, 1].map((state) =>
-      el("button", { type: "button", onclick: ask({ do: "lock", actuator: label, state }, `Lock ${label}`) }, `Lock ${WORDS[state]}`));
-    const unlock = el("button", { type: "button", onclick: ask({ do: "lock", actuator: label, state: null }, `Unlock ${label}`) }, "Unlock");
-    fill(buttons, ...(viewer ? [] : [jog, ...(lock === undefined ? locks : [unlock])]));
+  // The buttons stay the same elements, so that a press and the focus outlast the next message.
+  function offer(label, to, lock) {
+    if (buttons.querySelector(".holding")) return;
+    const focused = buttons.contains(document.activeElement) ? document.activeElement : null;
+    buttons.hidden = !connection.mayCommand;
+    jog.textContent = `Hold to ${to ? "extend" : "contract"}`;
+    jog.setAttribute("aria-label", `${jog.textContent} ${label}`);
+    jogged = { do: "jog", actuator: label, state: WORDS[to] };
+    for (const it of locks) it.hidden = lock !== undefined;
+    unlock.hidden = lock === undefined;
+    if (focused?.hidden) (unlock.hidden ? locks[0] : unlock).focus();
   }
 }
 

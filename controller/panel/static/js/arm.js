@@ -25,7 +25,7 @@ const MODES = {
 
 export function showArm(name, onLogin) {
   show("arm");
-  const connection = new Connection(`/arms/${name}/live`, { onLogin });
+  const connection = new Connection(`arms/${name}/live`, { onLogin });
   const editor = new Editor(connection);
   const notify = notifier();
   showHeader(name, connection, notify);

@@ -22,9 +22,8 @@ export class Connection {
   }
 
   connect() {
-    const scheme = location.protocol === "https:" ? "wss:" : "ws:";
     this.heartbeat = null;
-    this.socket = new WebSocket(`${scheme}//${location.host}${this.path}`);
+    this.socket = new WebSocket(new URL(this.path, document.baseURI).href.replace(/^http/, "ws"));
     this.socket.onmessage = (event) => {
       this.serverAt = performance.now();
       this.pause = 250;
@@ -109,17 +108,4 @@ function tell(listener, message) {
 // The message of an answer, and the advice if the request was refused.
 export function inWords({ message, advice }) {
   return advice ? `${message} → ${advice}` : message;
-}
-
-// Requests a stop over HTTP, which needs no WebSocket: of one arm at /arms/NAME/stop, of all arms at /stop.
-export async function stopOverHttp(path) {
-  try {
-    const response = await fetch(path, { method: "POST" });
-    const text = await response.text();
-    return response.headers.get("content-type")?.includes("json")
-      ? JSON.parse(text)
-      : { accepted: false, message: text };
-  } catch (error) {
-    return { accepted: false, message: "the server does not answer" };
-  }
 }

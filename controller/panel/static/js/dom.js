@@ -38,10 +38,16 @@ export function date(seconds) {
   return new Date(seconds * 1000).toLocaleDateString([], { dateStyle: "long" });
 }
 
-// An input field for a number; `change` gets the number, or null if the field is empty.
-export function numberField(label, value, change, properties = {}) {
+// An input field for a number; `change` gets each number that is typed, or null if there is none. `set` shows another number,
+// with `digits` decimals at most.
+export function numberField(label, change, { digits = 5, ...properties } = {}) {
   const input = el("input", { type: "number", step: "any", inputMode: "decimal", ...properties });
-  input.value = value ?? "";
-  input.addEventListener("change", () => change(input.value === "" ? null : Number(input.value)));
-  return el("label", {}, label, " ", input);
+  const rounded = (value) => Number(value.toFixed(digits));
+  input.addEventListener("input", () => change(input.value === "" ? null : input.valueAsNumber));
+  const field = el("label", {}, label, " ", input);
+  field.set = (value) => {
+    const same = value === null ? input.value === "" : input.value !== "" && rounded(input.valueAsNumber) === rounded(value);
+    if (!same) input.value = value === null ? "" : String(rounded(value));
+  };
+  return field;
 }

@@ -44,8 +44,9 @@ export class Editor {
     this.changed();
   }
 
-  // Changes position or orientation of one point.
+  // Changes position or orientation of one point. A named pose or a file is planned as it is.
   change(index, values) {
+    if (this.file !== null) return;
     this.points = this.points.map((point, k) => (k === index ? { ...point, ...values } : point));
     this.changed();
   }

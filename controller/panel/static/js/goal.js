@@ -1,9 +1,11 @@
 // The card of the goal: number fields, the plan in words, Go and Hold now.
 
 import { inWords } from "./connection.js";
-import { el, fill, number, numberField } from "./dom.js";
+import { el, fill, number } from "./dom.js";
 import { situation } from "./editor.js";
+import { incomplete, showFields } from "./goal-fields.js";
 import { showPoses } from "./poses.js";
+import { showProgress } from "./progress.js";
 
 const CERTIFICATES = {
   optimal: "proven optimal: no collision-free configuration costs less",
@@ -13,18 +15,20 @@ const CERTIFICATES = {
 
 export function showGoal(connection, editor, notify) {
   const card = document.getElementById("goal");
-  const fields = el("div", { class: "fields" });
+  let fields = null; // of the arm's dimension
   const message = el("p", { class: "message", role: "status" });
-  const words = el("div", { class: "plan" });
+  const { words, showPlan } = planCard();
   const why = el("p", { class: "why", role: "status" }); // why Go is disabled
   const go = el("button", { type: "button", id: "go", class: "primary" }, "Go");
   const cancel = el("button", { type: "button", id: "cancel" }, "Hold now");
   const clear = el("button", { type: "button" }, "Clear");
-  const brief = el("span", { class: "brief" }); // the plan in a line, beside Go on a small screen
-  const bar = el("div", { class: "go-bar" }, brief, go);
+  const brief = el("span", {}); // the plan in a line, beside Go on a small screen
+  const pace = el("b", {}); // the progress in a line
+  const bar = el("div", { class: "go-bar" }, el("span", { class: "brief" }, pace, brief), go);
   const upload = el("input", { type: "file", accept: ".json,.yaml,.yml", id: "upload" });
+  const progress = showProgress(connection, pace);
   card.append(
-    fields,
+    progress,
     el("div", { class: "buttons" }, bar, cancel, clear),
     why,
     el("label", { class: "upload" }, "Goal file ", upload),
@@ -44,8 +48,13 @@ export function showGoal(connection, editor, notify) {
     message.classList.toggle("bad", !fine);
   };
   connection.on("arm", (description) => {
+    if (fields === null || arm.dimension !== description.dimension) {
+      fields?.remove();
+      fields = showFields(editor, description);
+      card.querySelector("h2").after(fields);
+      editor.step = Math.max(0.3, Number((1.5 * description.travel_time + (description.rest_time ?? 0)).toFixed(3)));
+    }
     arm = description;
-    editor.step = Math.max(0.3, Number((1.5 * description.travel_time + (description.rest_time ?? 0)).toFixed(3)));
     describe();
   });
   go.addEventListener("click", async () => {
@@ -87,7 +96,7 @@ export function showGoal(connection, editor, notify) {
 
   function describe() {
     if (arm === null) return;
-    const obstacle = goObstacle(editor, sent, silent);
+    const obstacle = incomplete(fields, editor) ? "A field of the goal has no number." : goObstacle(editor, sent, silent);
     go.disabled = going || editor.goal === null || obstacle !== "" || document.body.classList.contains("viewer");
     const running = !go.disabled && editor.state?.mode === "executing";
     const note = running ? "Go replaces the running goal." : editor.goal === null ? "" : obstacle;
@@ -95,8 +104,7 @@ export function showGoal(connection, editor, notify) {
     words.classList.toggle("late", editor.goal !== null && !editor.upToDate);
     brief.textContent = editor.goal === null ? "Touch the picture to place a goal." : obstacle === REFUSED ? withoutField(editor.plan.message) : note || inBrief(editor.validPlan);
     if (editor.goal !== null && JSON.stringify(editor.goal) !== about) message.textContent = "";
-    if (!fields.contains(document.activeElement)) fill(fields, ...inputs(editor, arm));
-    fill(words, ...planInWords(editor));
+    showPlan(editor);
   }
   const watch = setInterval(() => {
     if (!go.isConnected) return clearInterval(watch); // the login form is shown
@@ -107,44 +115,6 @@ export function showGoal(connection, editor, notify) {
     }
   }, 200);
   describe();
-}
-
-// Number fields of the last point, for input without a mouse.
-function inputs(editor, arm) {
-  const last = editor.points.length - 1;
-  const point = editor.points[last] ?? { position: arm.dimension === 2 ? ["", ""] : ["", "", ""], orientation: null };
-  const axes = ["x", "y", "z"].slice(0, arm.dimension);
-  const move = (axis) => (value) => {
-    const position = point.position.map((x, k) => (k === axis ? value : x));
-    point.position = position;
-    if (position.some((x) => typeof x !== "number" || !Number.isFinite(x))) return;
-    if (last < 0) editor.place(position);
-    else editor.change(last, { position });
-  };
-  const result = axes.map((name, k) =>
-    numberField(name, point.position[k] === "" ? "" : Number(Number(point.position[k]).toFixed(5)), move(k)),
-  );
-  if (arm.dimension === 2 && last >= 0) {
-    const angle = point.orientation === null ? "" : Number(((point.orientation * 180) / Math.PI).toFixed(2));
-    const turn = (degrees) => editor.change(last, { orientation: degrees === null ? null : (degrees * Math.PI) / 180 });
-    result.push(numberField("orientation [°]", angle, turn, { placeholder: "any" }));
-  }
-  if (arm.dimension === 3 && last >= 0 && point.orientation !== null) {
-    const free = () => editor.change(last, { orientation: null });
-    result.push(el("button", { type: "button", onclick: free }, "Any orientation"));
-  }
-  const known = { placeholder: String(arm.tolerance?.position ?? ""), min: 0 };
-  result.push(numberField("tolerance", editor.tolerance, (value) => editor.set({ tolerance: value }), known));
-  if (editor.mode === "curve" || last > 0) {
-    const seconds = (value) => editor.set({ step: value > 0 ? value : editor.step });
-    const lines = { placeholder: "off", min: 0 };
-    result.push(
-      numberField("step [s]", editor.step, seconds, { min: 0 }),
-      numberField("line tolerance", editor.pathTolerance, (value) => editor.set({ pathTolerance: value }), lines),
-      el("button", { type: "button", onclick: () => editor.removeLast() }, `Remove point ${last + 1}`),
-    );
-  }
-  return result;
 }
 
 const REFUSED = "This goal cannot be planned.";
@@ -174,32 +144,47 @@ function inBrief(plan) {
   return plan.certificate === "optimal" ? `${count}, proven optimal` : count;
 }
 
-function planInWords(editor) {
-  const plan = editor.goal === null ? editor.plan : editor.validPlan;
-  if (editor.goal === null && plan === null) {
-    const { classList } = document.body;
-    const hint = classList.contains("replay") ? "A replay shows the goals of the recording and sends none."
-      : classList.contains("viewer") ? "A viewer sees goals and sends none." : hints[editor.mode];
-    return [el("p", { class: "hint" }, hint)];
-  }
-  if (plan === null) return [];
-  if (!plan.accepted) return [el("p", { class: "bad" }, `✗ ${withoutField(inWords(plan))}`)];
-  const waypoints = plan.waypoints.filter((waypoint) => !waypoint.between);
-  const last = waypoints[waypoints.length - 1];
+// The plan in words. The list of stages stays the same element, so that it stays open.
+function planCard() {
+  const text = el("div", {});
+  const summary = el("summary", {});
+  const list = el("ol", { class: "stages" });
+  const stages = el("details", { hidden: true }, summary, list);
+  const words = el("div", { class: "plan" }, text, stages);
+  const showPlan = (editor) => {
+    const plan = editor.goal === null ? editor.plan : editor.validPlan;
+    stages.hidden = !plan?.accepted;
+    if (plan?.accepted) {
+      const waypoints = plan.waypoints.filter((waypoint) => !waypoint.between);
+      const all = waypoints.flatMap((waypoint, k) => (waypoint.stages ?? []).map((stage) => ({ k, stage })));
+      summary.textContent = `${all.length} ${all.length === 1 ? "stage" : "stages"}, configuration ${waypoints.at(-1).configuration}`;
+      fill(list, ...all.slice(0, 100).map(({ k, stage }) => el("li", {}, waypoints.length > 1 ? `point ${k + 1}: ` : "", stage.join(", "))));
+      fill(text, planInNumbers(plan, waypoints));
+      return;
+    }
+    summary.textContent = "";
+    fill(list);
+    if (plan !== null) fill(text, el("p", { class: "bad" }, `✗ ${withoutField(inWords(plan))}`));
+    else fill(text, editor.goal === null ? el("p", { class: "hint" }, hint(editor)) : null);
+  };
+  return { words, showPlan };
+}
+
+function planInNumbers(plan, waypoints) {
   const weighted = plan.cost !== undefined && plan.cost !== plan.switches;
   const least = weighted ? `a cost of at least ${plan.lower_bound}` : `at least ${plan.lower_bound} switches`;
   const proof = plan.certificate === "bound" ? `proven: ${least}` : CERTIFICATES[plan.certificate];
-  const stages = waypoints.flatMap((waypoint, k) => (waypoint.stages ?? []).map((stage) => ({ k, stage })));
   const excursion = Math.max(...waypoints.map((waypoint) => waypoint.excursion ?? 0));
-  return [
-    el("dl", {}, ...pair("switches", String(plan.switches)),
-      ...(weighted ? pair("cost", number(plan.cost)) : []), ...pair("certificate", proof ?? plan.certificate),
-      ...pair("error", number(Math.max(...waypoints.map((waypoint) => waypoint.error ?? 0)), 5)),
-      ...pair("deviation", `${number(excursion)} on the way`)),
-    el("details", {}, el("summary", {}, `${stages.length} ${stages.length === 1 ? "stage" : "stages"}, configuration ${last.configuration}`),
-      el("ol", { class: "stages" }, ...stages.slice(0, 100).map(({ k, stage }) =>
-        el("li", {}, waypoints.length > 1 ? `point ${k + 1}: ` : "", stage.join(", "))))),
-  ];
+  return el("dl", {}, ...pair("switches", String(plan.switches)),
+    ...(weighted ? pair("cost", number(plan.cost)) : []), ...pair("certificate", proof ?? plan.certificate),
+    ...pair("error", number(Math.max(...waypoints.map((waypoint) => waypoint.error ?? 0)), 5)),
+    ...pair("deviation", `${number(excursion)} on the way`));
+}
+
+function hint(editor) {
+  const { classList } = document.body;
+  if (classList.contains("replay")) return "A replay shows the goals of the recording and sends none.";
+  return classList.contains("viewer") ? "A viewer sees goals and sends none." : hints[editor.mode];
 }
 
 const hints = {

@@ -1,8 +1,8 @@
 // The header, always visible: name, mode and reason, silence, Stop and Reset.
 
-import { stopOverHttp } from "./connection.js";
 import { el } from "./dom.js";
 import { onHold } from "./hold.js";
+import { pressToStop } from "./stop.js";
 
 const MARKS = { starting: "◌", ready: "●", executing: "▶", fault: "▲", stopped: "■", unknown: "?" };
 
@@ -30,9 +30,8 @@ export function showHeader(name, connection, notify) {
     part("stop").disabled = part("reset").disabled = viewer;
     document.body.classList.toggle("viewer", viewer);
   });
-  pressToStop(part("stop"), async () =>
-    notify(connection.open ? await connection.ask({ do: "stop" }) : await stopOverHttp(`/arms/${name}/stop`), "Stop"));
-  onHold(part("reset"), async () => notify(await connection.ask({ do: "reset" }), "Reset"));
+  pressToStop(part("stop"), { path: `arms/${name}/stop`, what: "Stop", notify, connection });
+  onHold(part("reset"), async () => notify(await connection.ask({ do: "reset" }), "Reset"), notify);
   const watch = setInterval(() => {
     if (!part("silence")) return clearInterval(watch); // the login form is shown
     const silent = connection.silence();
@@ -43,19 +42,4 @@ export function showHeader(name, connection, notify) {
     }
     document.body.classList.toggle("old", silent !== null);
   }, 200);
-}
-
-// Stops when the button is pressed, without confirmation.
-export function pressToStop(button, stop) {
-  const press = async () => {
-    button.classList.add("pressed");
-    await stop();
-    button.classList.remove("pressed");
-  };
-  button.addEventListener("pointerdown", (event) => {
-    if (event.button === 0) press();
-  });
-  button.addEventListener("click", (event) => {
-    if (event.detail === 0) press(); // by keyboard
-  });
 }

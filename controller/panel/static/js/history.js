@@ -6,7 +6,7 @@ const MARKS = { succeeded: "✓", running: "▶", canceled: "◼", replaced: "�
 
 export function showGoals(connection) {
   const list = el("ol", { class: "goals", reversed: true });
-  document.getElementById("goals").append(list);
+  document.getElementById("goals").append(el("div", { class: "scroll", role: "region", tabIndex: 0, "aria-label": "Last goals" }, list));
   connection.on("goals", ({ goals }) =>
     fill(list, ...goals.toReversed().map((goal) =>
       el("li", { data: { status: goal.status } },
@@ -22,8 +22,8 @@ export function showGoals(connection) {
 }
 
 export function showLog(connection) {
-  const list = el("ol", { class: "lines", role: "log", tabIndex: 0, "aria-label": "Log" });
-  document.getElementById("log").append(list);
+  const list = el("ol", { class: "lines" });
+  document.getElementById("log").append(el("div", { class: "scroll", role: "log", tabIndex: 0, "aria-label": "Log" }, list));
   connection.on("log", ({ lines }) => {
     fill(list, ...lines.toReversed().map((line) =>
       el("li", { data: { kind: line.kind } }, el("time", {}, clock(line.at)), ` ${inKind(line)}`)));

@@ -1,14 +1,15 @@
 // The list of all arms that are alive on the network.
 
-import { Connection, stopOverHttp } from "./connection.js";
+import { Connection } from "./connection.js";
 import { el, fill, show } from "./dom.js";
-import { modeMark, pressToStop, simulatedBadge } from "./header.js";
+import { modeMark, simulatedBadge } from "./header.js";
 import { notifier } from "./notice.js";
+import { pressToStop } from "./stop.js";
 
 export function showList(onLogin) {
   show("list");
   document.title = "hyperbit: arms";
-  const connection = new Connection("/live", { onLogin });
+  const connection = new Connection("live", { onLogin });
   const list = document.querySelector(".arms");
   const none = document.querySelector(".none");
   const silence = document.querySelector("main .silence");
@@ -40,7 +41,7 @@ function showStopAll(connection) {
     document.querySelector(".who").textContent = `${you.name}, ${you.role}`;
     stop.disabled = you.role !== "operator";
   });
-  pressToStop(stop, async () => notify(await stopOverHttp("/stop"), "Stop all"));
+  pressToStop(stop, { path: "stop", what: "Stop all", notify });
 }
 
 // An arm's entry stays the same element: a press on it, or the focus, outlasts the next message.
@@ -49,7 +50,7 @@ function entry(name) {
   const reason = el("span", { class: "reason" });
   const silence = el("span", { class: "silence" });
   const badge = simulatedBadge();
-  const item = el("li", {}, el("a", { href: `/arms/${name}` }, el("b", {}, name), badge, mode, reason, silence));
+  const item = el("li", {}, el("a", { href: `arms/${name}` }, el("b", {}, name), badge, mode, reason, silence));
   const set = (arm) => {
     const old = !arm.alive || arm.age === null || arm.age > 1.5;
     const heard = arm.age === null ? "nothing heard yet" : `nothing heard for ${Math.round(arm.age)} s`;

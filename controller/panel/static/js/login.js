@@ -15,7 +15,7 @@ export async function enterByAddress() {
 // Logs in; returns why the token was refused, or null.
 async function enter(token) {
   try {
-    const response = await fetch("/session", {
+    const response = await fetch("session", {
       method: "POST",
       headers: { "content-type": "application/json" },
       body: JSON.stringify({ token }),
@@ -41,6 +41,6 @@ export function showLogin(message = "") {
 }
 
 export async function leave() {
-  await fetch("/session", { method: "DELETE" });
-  location.assign("/");
+  await fetch("session", { method: "DELETE" });
+  location.assign(document.baseURI);
 }

@@ -5,7 +5,7 @@ import { showList } from "./list.js";
 import { enterByAddress, showLogin } from "./login.js";
 
 const refusal = await enterByAddress();
-const arm = location.pathname.match(/^\/arms\/([A-Za-z0-9_-]+)$/)?.[1];
+const arm = location.pathname.match(/\/arms\/([A-Za-z0-9_-]+)$/)?.[1];
 if (refusal) showLogin(refusal);
 else if (arm) showArm(arm, showLogin);
 else showList(showLogin);

@@ -11,6 +11,7 @@ export function showObstacles(connection, notify) {
   const add = el("button", { type: "button" }, "Add");
   card.append(list, el("details", {}, el("summary", {}, "By numbers"), form, add));
   let sent = [];
+  let shown = "";
 
   const send = async (regions, what) => {
     const answer = await connection.ask({ do: "obstacles", regions });
@@ -20,17 +21,22 @@ export function showObstacles(connection, notify) {
   const append = (region) => send([...sent, { ...region, name: freshName(sent) }], "Obstacle");
 
   connection.on("arm", (arm) => {
+    const now = JSON.stringify([arm.obstacles, arm.sent_obstacles]);
+    if (now === shown) return;
+    shown = now;
     sent = arm.sent_obstacles ?? [];
+    const focused = list.contains(document.activeElement);
     const own = (arm.obstacles ?? []).map((region) =>
       el("li", {}, el("span", {}, `${region.name ? `${region.name}: ` : ""}${inWords(region)}`), el("span", { class: "faint" }, "arm's file")));
     const others = sent.map((region, k) =>
       el("li", {}, el("span", {}, `${region.name ? `${region.name}: ` : ""}${inWords(region)}`),
         el("button", { type: "button", class: "remove", onclick: () => send(sent.filter((_, j) => j !== k), "Obstacle removed") }, "Remove")));
     fill(list, ...own, ...others, own.length + others.length ? null : el("li", { class: "faint" }, "There are none."));
+    if (focused) (list.querySelector("button") ?? card.querySelector("summary")).focus();
     if (form.childElementCount === 0) {
       const set = (axis) => (value) => (shape.centre[axis] = value);
-      fill(form, ...["x", "y", "z"].slice(0, arm.dimension).map((name, k) => numberField(name, null, set(k))),
-        numberField("radius", null, (value) => (shape.radius = value), { min: 0 }));
+      fill(form, ...["x", "y", "z"].slice(0, arm.dimension).map((name, k) => numberField(name, set(k))),
+        numberField("radius", (value) => (shape.radius = value), { min: 0 }));
       add.onclick = () => append({ [arm.dimension === 2 ? "disc" : "sphere"]: { centre: [...shape.centre], radius: shape.radius } });
     }
   });

@@ -3,6 +3,9 @@
 import { handle } from "./plane-marks.js";
 
 const NEAR = 24; // [pixels] within which a point or a handle is grabbed
+const STILL = 10; // [pixels] within which a touch counts as a tap; a swipe scrolls the page and places nothing
+
+const far = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
 
 export function listenToPointers(view) {
   const { canvas, editor } = view;
@@ -19,9 +22,17 @@ export function listenToPointers(view) {
       drag = null;
       pinch = pinchShape();
     } else if (pointers.size === 1) {
-      drag = event.button === 1 ? pan(at(event)) : begin(at(event));
+      const where = at(event);
+      if (event.button === 1) drag = pan(where);
+      else if (event.pointerType === "touch" && swipes(where)) drag = tap(where);
+      else drag = begin(where);
     }
   });
+  canvas.addEventListener("touchstart", (event) => {
+    const box = canvas.getBoundingClientRect();
+    const { clientX, clientY } = event.touches[0];
+    if (event.touches.length > 1 || !swipes([clientX - box.left, clientY - box.top])) event.preventDefault(); // no scrolling
+  }, { passive: false });
   canvas.addEventListener("pointermove", (event) => {
     if (!pointers.has(event.pointerId)) return;
     pointers.set(event.pointerId, at(event));
@@ -36,7 +47,7 @@ export function listenToPointers(view) {
     canvas.addEventListener(name, (event) => {
       pointers.delete(event.pointerId);
       pinch = null;
-      if (drag?.end) drag.end();
+      if (drag?.end && (name === "pointerup" || !drag.tap)) drag.end();
       drag = null;
     });
   }
@@ -75,15 +86,36 @@ export function listenToPointers(view) {
     };
   }
 
+  // Whether a touch that begins here may become a swipe that scrolls the page.
+  function swipes(where) {
+    return (editor.mode === "goal" || editor.mode === "curve") && grabbed(where) === null;
+  }
+
+  // Acts at the end of a touch that does not move.
+  function tap(where) {
+    const follow = (to) => {
+      if (far(to, where) > STILL) follow.end = null;
+    };
+    follow.end = () => begin(where)?.end?.();
+    follow.tap = true;
+    return follow;
+  }
+
+  // The function that moves or turns the point under the pointer; null if there is none.
+  function grabbed(where) {
+    const last = editor.points.length - 1;
+    if (editor.file !== null || last < 0) return null;
+    if (far(handle(view, editor.points[last]), where) < NEAR) return turn(last);
+    const hit = editor.points.findIndex((point) => far(view.toScreen(point.position), where) < NEAR);
+    return hit < 0 ? null : move(hit);
+  }
+
   // Returns the function that handles the drag that begins here.
   function begin(where) {
     if (editor.mode === "pan") return pan(where);
     if (editor.mode === "obstacle") return view.onSketch?.(view.toWorld(where)) ?? null;
-    const last = editor.points.length - 1;
-    const far = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
-    if (last >= 0 && far(handle(view, editor.points[last]), where) < NEAR) return turn(last);
-    const hit = editor.points.findIndex((point) => far(view.toScreen(point.position), where) < NEAR);
-    if (hit >= 0 && editor.file === null) return move(hit);
+    const held = grabbed(where);
+    if (held !== null) return held;
     if (editor.mode === "curve") {
       editor.add(view.toWorld(where));
       return move(editor.points.length - 1);

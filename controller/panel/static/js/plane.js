@@ -19,6 +19,7 @@ export class PlaneView extends View {
     this.sketch = null; // an obstacle that is being drawn
     this.canvas = document.createElement("canvas");
     this.canvas.tabIndex = 0;
+    this.canvas.className = "plane";
     this.canvas.setAttribute("role", "img");
     this.canvas.setAttribute("aria-label", "The arm in the plane; arrow keys move the goal");
     stage.replaceChildren(this.canvas);
@@ -36,7 +37,7 @@ export class PlaneView extends View {
       this.picture = image;
       this.draw();
     };
-    image.src = `/arms/${this.arm.name}/density`;
+    image.src = `arms/${this.arm.name}/density`;
   }
 
   // Fits the view to the workspace, or to a square of the arm's length.

@@ -10,6 +10,7 @@ export function showPoses(connection, editor, notify) {
   const save = el("button", { type: "button", id: "save-pose" }, "Save");
   const what = el("p", { class: "hint" });
   let poses = [];
+  let replaced = null; // name of the pose that the next Save replaces
   const goalOf = (wanted) => poses.find((pose) => pose.name === wanted)?.goal;
 
   connection.on("arm", (description) => {
@@ -23,6 +24,7 @@ export function showPoses(connection, editor, notify) {
   };
   editor.on(describe);
   describe();
+  name.addEventListener("input", () => (replaced = null));
   use.addEventListener("click", async () => {
     if (chosen.value) await editor.upload(JSON.stringify(goalOf(chosen.value)));
   });
@@ -33,7 +35,13 @@ export function showPoses(connection, editor, notify) {
     const configuration = connection.latest.state?.configuration;
     const goal = editor.goal ?? (configuration ? { waypoints: [{ configuration }] } : null);
     if (goal === null) return notify({ accepted: false, message: "The arm is in no configuration." }, "Save pose");
-    const answer = await connection.ask({ do: "pose", save: name.value.trim(), goal });
+    const wanted = name.value.trim();
+    if (goalOf(wanted) && replaced !== wanted) {
+      replaced = wanted;
+      return notify({ accepted: false, message: `there is a pose ${wanted}: press Save again to replace it` }, "Save pose");
+    }
+    const answer = await connection.ask({ do: "pose", save: wanted, goal });
+    replaced = null;
     if (answer.accepted) name.value = "";
     return notify(answer, "Save pose");
   });

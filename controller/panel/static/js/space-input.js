@@ -1,7 +1,7 @@
 // Input of the spatial drawing: clicks place a goal on the plane through the last one that faces the camera; a gizmo moves it.
 
 import * as THREE from "three";
-import { TransformControls } from "/static/vendor/TransformControls.js";
+import { TransformControls } from "../vendor/TransformControls.js";
 
 const STILL = 5; // [pixels] within which a press counts as a click
 

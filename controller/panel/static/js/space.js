@@ -1,7 +1,7 @@
 // A spatial arm in three.js. The server computes the line segments.
 
 import * as THREE from "three";
-import { OrbitControls } from "/static/vendor/OrbitControls.js";
+import { OrbitControls } from "../vendor/OrbitControls.js";
 import { NOTHING } from "./bodies.js";
 import { listenInSpace } from "./space-input.js";
 import { Bars, capsule, cloud, frameOf, obstacleMesh } from "./space-parts.js";
@@ -19,7 +19,7 @@ export class SpaceView extends View {
     this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true });
     this.canvas = this.renderer.domElement;
     this.canvas.tabIndex = 0;
-    this.canvas.setAttribute("aria-label", "The arm in space");
+    this.canvas.setAttribute("aria-label", "The arm in space; arrow keys move the view, with Shift they turn it");
     stage.replaceChildren(this.canvas);
     this.scene = new THREE.Scene();
     this.scene.add(new THREE.HemisphereLight(0xffffff, 0x8890a0, 2.6));
@@ -29,6 +29,7 @@ export class SpaceView extends View {
     this.camera = new THREE.PerspectiveCamera(1, 1, arm.length / 500, arm.length * 50);
     this.camera.up.set(0, 0, 1);
     this.orbit = new OrbitControls(this.camera, this.canvas);
+    this.orbit.listenToKeyEvents(this.canvas);
     this.orbit.addEventListener("change", () => this.draw());
     const thin = arm.length / 260;
     this.bars = { measured: new Bars(this.scene, thin), unknown: new Bars(this.scene, thin, 0.6), commanded: new Bars(this.scene, thin * 0.7, 0.55), ghosts: [] };
@@ -51,7 +52,7 @@ export class SpaceView extends View {
 
   async loadDensity() {
     if (!this.arm.density) return;
-    const response = await fetch(`/arms/${this.arm.name}/density`);
+    const response = await fetch(`arms/${this.arm.name}/density`);
     if (!response.ok) return;
     this.cloud = cloud(await response.json(), this.arm.density.pixel * 2, 0x808890);
     this.cloud.applyMatrix4(frameOf(this.arm.base));

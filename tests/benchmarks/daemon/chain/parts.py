@@ -3,7 +3,6 @@
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -21,6 +20,7 @@ from hyperbit.controller.network import session
 from hyperbit.controller.network.client import Client
 from tests.benchmarks.daemon.chain import records
 from tests.conftest import PAPER_ARM
+from tests.endpoints import free_endpoint
 from tests.system.stack.observer import Observer
 from tests.waiting import eventually
 
@@ -32,7 +32,6 @@ class Parts:
     """The arm of the paper, running; the parts end with the context, and then their records can be read.
 
     Args:
-        real_time: whether the arm's file asks for it.
         simulate: the boards are simulated in the executor's process, else in one of their own on an emulated bus.
     """
 
@@ -48,7 +47,7 @@ class Parts:
             document["boards"] = {**document["boards"], "heartbeat_timeout": 10.0}
         self.name, self.file = str(document["name"]), self.folder / "arm.yaml"
         self.file.write_text(yaml.safe_dump(document))
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.endpoint = free_endpoint()
 
     def __enter__(self) -> "Parts":
         """Starts all, and waits until the planner takes goals."""
@@ -120,10 +119,3 @@ class Parts:
 
     def record(self, name: str) -> dict[str, NDArray[np.float64]]:
         return self._kept[name]
-
-
-def free_port() -> int:
-    """Returns a TCP port that nobody listens at."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])

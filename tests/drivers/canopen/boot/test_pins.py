@@ -70,6 +70,18 @@ def test_what_a_running_master_has_commanded_stays_on_after_a_command_of_another
     assert world.master.warnings() == ()
 
 
+def test_what_a_running_master_has_commanded_stays_also_at_inverted_outputs():
+    channels = [replace(channel, inverted=frozenset({"output"})) for channel in one_board()]
+    world = World(channels, variants=BOARD, on_loss="contract").up()
+    world.commit(1, 1, then=0.3)
+    assert (outputs(world), world.positions()) == (0, [1.0, 1.0])
+    world.say(*LEAVE)
+    world.run(0.2)
+    assert boot(world) == []
+    world.run(0.5)
+    assert (outputs(world), world.positions(), world.master.warnings()) == (0, [1.0, 1.0], ())
+
+
 LEAVE = (0, bytes([Command.PRE_OPERATIONAL, 5]))
 
 

@@ -15,7 +15,6 @@ PRE_OPERATIONAL = (0, "80 05")
 
 
 def changed(changes: Changes, **more: object) -> World:
-    """A world whose board has other objects than a standard one."""
     return World(one_board(), variants={"can0/5": replace(STANDARD, changes=changes, **more)})
 
 

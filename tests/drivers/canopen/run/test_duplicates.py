@@ -7,7 +7,6 @@ from tests.drivers.canopen.world import World
 
 
 def doubling(world: World, every: int) -> World:
-    """Has each `every`-th SDO answer sent twice."""
     count = 0
 
     def twice(bus: str, frame: cia301.Frame) -> bool:

@@ -106,6 +106,7 @@ def test_another_program_on_the_same_computer_is_another_master():
         (0x5112, "device hardware (5112h)"),
         (0xFF01, "device specific (FF01h)"),
         (0xB123, "unknown error (B123h)"),
+        (0x0123, "unknown error (0123h)"),
     ],
 )
 def test_an_emergency_is_reported_in_words(code, words):

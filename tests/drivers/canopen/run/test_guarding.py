@@ -94,3 +94,13 @@ def test_a_refused_board_is_polled_on_so_that_its_outputs_stay():
     world.run(1.0)
     assert world.buses["can0"].log.count(POLL) >= 9
     assert world.positions() == [1.0, 1.0]
+
+
+def test_a_board_whose_answers_show_its_polls_is_polled_on_while_echoes_are_lost():
+    world = World(one_board(), variants={"can0/5": VARIANTS["guarding-with-1029h"]}, on_loss="contract").up()
+    world.commit(1, 1, then=0.1)
+    world.buses["can0"].echoes = False
+    world.buses["can0"].log.clear()
+    world.run(0.8)
+    assert world.buses["can0"].log.count(POLL) >= 7
+    assert world.positions() == [1.0, 1.0]

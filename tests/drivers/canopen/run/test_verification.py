@@ -13,7 +13,6 @@ BLIND = [Channel("5.left", "can0", 5, 0, None), Channel("9.left", "can0", 9, 3, 
 
 
 def sdo(world: World, index: int, sub: int, value: int, size: int) -> None:
-    """Another program writes to board 5."""
     board = world.boards.board("can0/5").objects
     board.set_data(index, sub, value.to_bytes(size, "little"))
 

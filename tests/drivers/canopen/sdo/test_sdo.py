@@ -147,6 +147,20 @@ def test_answers_that_never_come_late_do_not_delay_what_follows():
     assert line.requests == ["2f 06 62 01 01 00 00 00"] * 2 + ["40 06 62 01 00 00 00 00"] * 2
 
 
+def test_answers_that_are_long_overdue_are_expected_no_more():
+    """Reads go on all the time, as those of outputs that are switched: lost answers slow them for 4 s only."""
+    present = b"\x4f\x00\x62\x01\x01\0\0\0"
+    line = Line([], [], *[[present]] * 200)  # two answers were lost
+    assert line.run(objects.read("can0/5", 0x6200, 1, fresh=True)) == 1
+    counts, lost_at = list[int](), line.now
+    while line.now < lost_at + 6.0:
+        begun = len(line.requests)
+        assert line.run(objects.read("can0/5", 0x6200, 1, fresh=True)) == 1
+        counts.append(len(line.requests) - begun)
+        line.now += 0.5
+    assert (counts[0], counts[-1]) == (3, 1)
+
+
 def test_a_slow_board_is_given_more_time():
     slow = [[TYPE]]
     line = Line([], *slow, [], [b"\x4f\x00\x62\x01\x07\0\0\0"])
@@ -169,16 +183,19 @@ def test_a_number_in_segments_is_read():
 
 @pytest.mark.parametrize(
     "answers",
-    [
-        [b"\x4b\x00\x62\x01\x07\x01\x00\x00"],
-        [b"\x41\x00\x62\x01\x06\x00\x00\x00", b"\x03\x01\x02\x03\x04\x05\x06\x00"],
-    ],
+    [[b"\x4b\x00\x62\x01\x07\x01\x00\x00"], [b"\x41\x00\x62\x01\x06\x00\x00\x00", b"\x03\x01\x02\x03\x04\x05\x06\x00"]],
     ids=["two bytes", "six bytes in a segment"],
 )
 def test_a_value_of_another_size_is_another_device(answers):
     fault = Line(*([answer] for answer in answers)).run(objects.read("can0/5", 0x6200, 1))
     assert fault.code == "wrong-device"
     assert "bytes to 6200h sub 1; 1 are needed" in fault.message
+
+
+def test_a_segment_that_comes_twice_counts_once():
+    first, last = b"\x0a\x91\x01\x00\x00\x00\x00\x00", b"\x1b\x02\x00\x00\x00\x00\x00\x00"  # two bytes each
+    line = Line([b"\x41\x00\x10\x00\x04\x00\x00\x00"], [first, first], [last])
+    assert line.run(objects.read("can0/5", 0x1000, 0, 4)) == 0x00020191
 
 
 def test_segments_without_end_are_given_up():

@@ -62,7 +62,6 @@ class SessionInWorld(Session):
 
 
 def session(world: World, **changes: Any) -> SessionInWorld:
-    """Returns a session with the boards of a world that have long booted."""
     world.run(0.05)
     world.stalled = False
     return SessionInWorld(world)

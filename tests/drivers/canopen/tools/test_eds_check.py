@@ -44,12 +44,7 @@ def test_the_simulated_board_lacks_nothing(tmp_path):
             "not the profile 0191h of CiA 401",
         ),
         ("6200sub1", "AccessType=wo", "6200h sub 1: the EDS says AccessType=wo, PDOMapping=1", "refuses to read 6200h"),
-        (
-            "1016sub1",
-            "AccessType=ro",
-            "1016h sub 1: the EDS says AccessType=ro",
-            "007F015Eh is needed",
-        ),
+        ("1016sub1", "AccessType=ro", "1016h sub 1: the EDS says AccessType=ro", "007F015Eh is needed"),
         ("1017", "", "1017h sub 0: the EDS says nothing of it", "nor 100Ch and 100Dh (node guarding)"),
         ("1017", "HighLimit=50", "1017h sub 0: the EDS says AccessType=rw", "value too high (abort 06090031h)"),
         ("1017", "LowLimit=500", "1017h sub 0: the EDS says AccessType=rw", "value too low (abort 06090032h)"),

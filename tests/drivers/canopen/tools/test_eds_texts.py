@@ -209,19 +209,11 @@ def test_peculiar_files_of_right_boards_fit(tmp_path, name):
     assert verdict(tmp_path, text)[:2] == ("fits", "")
 
 
-@pytest.mark.parametrize("name", LACKS)
-def test_a_lack_is_told(tmp_path, name):
-    change, words = LACKS[name]
+@pytest.mark.parametrize("name", [*LACKS, *OPEN])
+def test_a_lack_is_told_and_what_an_eds_does_not_tell_is_none(tmp_path, name):
+    change, words = {**LACKS, **OPEN}[name]
     kind, text, _ = verdict(tmp_path, change(TEXT))
-    assert kind == "lacks", text
-    assert words in text
-
-
-@pytest.mark.parametrize("name", OPEN)
-def test_what_an_eds_does_not_tell_is_no_lack(tmp_path, name):
-    change, words = OPEN[name]
-    kind, text, _ = verdict(tmp_path, change(TEXT))
-    assert kind == "open", text
+    assert kind == ("lacks" if name in LACKS else "open"), text
     assert words in text
 
 

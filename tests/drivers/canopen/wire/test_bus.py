@@ -15,16 +15,9 @@ from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
 from hyperbit.drivers.canopen.wiring import BusWiring
 from tests import emulated
+from tests.clock import Clock
 
 FRAME = Frame(0x77F, b"\x05")
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 def wait(bus: CanBus, condition: Callable[[list[Event]], object]) -> list[Event]:
@@ -132,7 +125,7 @@ def test_a_full_queue_is_told_and_keeps_the_bus_open(tmp_path):
 
 @pytest.mark.parametrize("how", ["down", "deleted"])
 def test_a_bus_that_goes_down_is_opened_again(tmp_path, how):
-    interface, clock = emulated.Interface(tmp_path), Clock()
+    interface, clock = emulated.Interface(tmp_path), Clock(0.0)
     bus = CanBus(BusWiring("can0", "emulated", interface.channel), clock)
     bus.open()
     bus.poll()

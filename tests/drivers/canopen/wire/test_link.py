@@ -42,6 +42,15 @@ def test_the_echo_of_a_later_frame_of_lower_priority_shows_that_an_echo_was_lost
     assert pending.came_back(rpdo, 0.3) == [rpdo]  # it was only late
 
 
+def test_a_frame_of_another_program_with_the_same_identifier_is_not_ours():
+    pending = TxPending()
+    pending.sent(Frame(0x205, b"\x01"), 0.0)
+    pending.came_back(Frame(0x205, b"\x01"), 0.1)
+    pending.sent(Frame(0x205, b"\x02"), 0.2)
+    assert pending.came_back(Frame(0x205, b"\x03"), 0.3) == []
+    assert pending.holds(0x205)
+
+
 def test_a_frame_that_was_handed_out_after_the_echoed_one_stays_pending():
     pending = TxPending()
     rpdo = Frame(0x205, b"\x01")

@@ -48,10 +48,8 @@ def judge_objects(board: JudgedBoard, found: Found, look: Look, timing: Any, as_
     """Judges all objects of a board after its boot.
 
     Args:
-        board: its wiring.
         found: what it was before.
         look: what it is now.
-        timing: heartbeat times.
         as_is: whether the boot has not written to it.
     """
     needs, masks = needs_of(board, found)

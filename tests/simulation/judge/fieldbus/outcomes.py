@@ -64,7 +64,6 @@ class Found(NamedTuple):
     explained: bool = True
 
     def has(self, index: int, sub: int = 0) -> bool:
-        """Returns whether it has an object."""
         return (index, sub) in self.values
 
     def byte(self, index: int, sub: int) -> int:
@@ -89,14 +88,7 @@ class Outcome(NamedTuple):
 
 
 def outcome_of(board: JudgedBoard, found: Found, needs: Values, masks: Values) -> Outcome:
-    """Returns what must become of a board.
-
-    Args:
-        board: its wiring.
-        found: what it is before the boot.
-        needs: needed values by index and sub-index.
-        masks: masks of the bits that matter.
-    """
+    """Returns what must become of a board."""
     if found.state is None or (found.state == STOPPED and not found.tells):
         return Outcome([Refusal("board-missing", ("neither booted nor answered",))], frozenset(), {}, False)
     refusals: list[Refusal] = []

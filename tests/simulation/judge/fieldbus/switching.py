@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
-from tests.simulation.judge.fieldbus.wires import INVALID, JudgedBoard, JudgedWiring, Look, bits_in, bytes_of
+from tests.simulation.judge.fieldbus.wires import INVALID, JudgedBoard, JudgedWiring, Look, bits_in
 from tests.simulation.judge.verdict import require
 
 Key = tuple[str, int]  # bus and COB-ID
@@ -27,10 +26,6 @@ class Switching:
     Attributes:
         echoing: whether the master gets its own frames back.
         states: levels of all output lines, as commanded and as found by the last boot.
-
-    Args:
-        wiring: of the arm.
-        looks: the boards by name.
     """
 
     def __init__(self, wiring: JudgedWiring, looks: dict[str, Look]) -> None:
@@ -68,7 +63,6 @@ class Switching:
         self._unechoed, self._unsure = set(), set()
 
     def driven(self) -> int:
-        """Returns the levels of all lines at the pins."""
         states = 0
         for board in self._wiring.boards.values():
             pins = self._looks[board.name].pins()
@@ -123,7 +117,6 @@ class Switching:
         self.idle = not self._syncs
 
     def hands_out(self, bus: str, cob_id: int, data: bytes) -> None:
-        """The master hands out an RPDO or a SYNC."""
         key = bus, cob_id
         if cob_id == SYNC:
             require(bus in self._syncs and data == b"", f"{bus}: a SYNC {data.hex()} that no command needs")
@@ -140,7 +133,6 @@ class Switching:
             self._unechoed.add(key)
 
     def echoes(self, bus: str, cob_id: int, now: float) -> None:
-        """A frame of the master was sent."""
         self._unechoed.discard((bus, cob_id))
         if cob_id == SYNC:
             self.synced[bus] = now
@@ -151,11 +143,9 @@ class Switching:
         self.states, self._unsure = states, set(self._frames)
 
     def parts_of(self, name: str) -> list[Part]:
-        """Returns the shares of a board in the frames."""
         return [part for parts in self._frames.values() for part in parts if part.board.name == name]
 
     def lines_on(self, bus: str) -> int:
-        """Returns the mask of the lines on a bus."""
         return sum(board.lines for board in self._wiring.boards.values() if board.bus == bus)
 
     def ended(self, outputs: int, switched: list[tuple[int, float]], failed: str | None) -> None:
@@ -177,10 +167,3 @@ class Switching:
 
     def _only_sync(self, mask: int) -> bool:
         return all(part.waits for key, parts in self._frames.items() if self._lines(key) & mask for part in parts)
-
-    def bytes_to_read(self, mask: int) -> dict[str, list[int]]:
-        """Returns the sub-indices that must be read back by board, after lines of a mask were switched."""
-        return {b.name: bytes_of(b.used) for b in self._wiring.boards.values() if b.lines & mask}
-
-
-Told = Callable[[], int]

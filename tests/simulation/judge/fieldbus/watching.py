@@ -27,10 +27,6 @@ class Watching:
         standing: boards that keep an error.
         slow: boards whose answers take longer than the time between two reads.
         slack: [s] more for reads where boards answer slowly.
-
-    Args:
-        wiring: of the arm.
-        looks: the boards by name.
     """
 
     def __init__(self, wiring: JudgedWiring, looks: dict[str, Look]) -> None:
@@ -62,7 +58,6 @@ class Watching:
         self.input_reads.clear()
 
     def hands_out(self, bus: str, cob_id: int, data: bytes, now: float) -> None:
-        """The master hands out a frame."""
         if cob_id == HEARTBEAT:
             require(data == b"\x05", f"{bus}: the heartbeat of the master is {data.hex()}")
             before = self._beats.get(bus)
@@ -98,7 +93,6 @@ class Watching:
         return not (look.has(0x1016) and look.has(0x1017))
 
     def tick(self, now: float) -> None:
-        """A tick of the master is over."""
         self.now = now
         for bus in self._wiring.buses:
             gap = now - max(self._beats.get(bus, self._since), self._since)
@@ -109,8 +103,6 @@ class Watching:
             if self.guarded(name):
                 gap = now - max(self._polls.get(name, self.ready_since), self.ready_since)
                 require(gap <= self._period + 2.5 * TICK, f"{name} is not polled for {gap:g} s")
-
-    # --- reads in turn
 
     def pace(self, bus: str) -> float:
         """Returns the time between two reads in turn on a bus [s]."""
@@ -187,8 +179,6 @@ class Watching:
             longest = self.inputs_every(name) + 0.35 + self.slack
             gap = max(after - before for before, after in pairwise(times))
             require(gap <= longest, f"the inputs of {name} are not read for {gap:.2f} s")
-
-    # --- what is told
 
     def judge_told(self, master: Any, outputs: int | None) -> None:
         """Judges what the master tells of inputs, outputs and boards, while all are ready."""

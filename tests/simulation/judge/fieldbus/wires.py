@@ -74,12 +74,7 @@ class JudgedBoard:
     """One board.
 
     Attributes:
-        name: as in messages.
-        bus: its bus.
-        node: its node id.
         base: index of its outputs.
-        outputs: its output lines.
-        inputs: its input lines.
         used: mask of its used output bits.
         sensed: mask of its used input bits.
         off: output bits that are 1 while their line is off.
@@ -151,11 +146,7 @@ class JudgedWiring:
     """All boards of an arm.
 
     Attributes:
-        boards: by name.
-        buses: names of the buses.
-        rates: their bit rates.
         lines: mask of all output lines.
-        actuators: mask of all actuators.
         pulsed: mask of the output lines of pulses.
         board_of: number of the board with the outputs of each actuator.
     """

@@ -40,6 +40,8 @@ class InterfaceAccount:
         scenes: number of scenes that workers build.
         slow: whether rounds of the planner's loop take long.
         congested: whether peers read slowly.
+        simulated: whether the executor simulates its boards.
+        full: whether the socket to the executor is full.
         lead: time of one stage [s]; `travel` and `rest` are the times of one actuator, of the arm's file.
         inrush: whether few actuators may switch at once, so that a stage waits for the one before.
         switched_at: time of the snapshot that showed the last switch of each actuator [s].
@@ -48,7 +50,6 @@ class InterfaceAccount:
         tip_at: time of the last measured tip, of whatever age [s]; `good_tip_at` of the last one that surely counts.
 
     Args:
-        modules: the arm.
         wall: returns the UNIX time [s].
         driven: returns the states to which the boards drive the actuators.
     """
@@ -65,7 +66,7 @@ class InterfaceAccount:
         self.interlock_open: Callable[[], bool] = lambda: False
         self.bias: tuple[float, ...] | None = None
         self.offset, self.clamp, self.hold = (0.0, 0.0), 0.0, 0.0
-        self.slow = self.congested = False
+        self.slow = self.congested = self.full = self.simulated = False
         self.ledger_counts: tuple[int, ...] = ()
         self.disk_failed = False
         self.numbers = 0
@@ -77,7 +78,6 @@ class InterfaceAccount:
         self.begin(0)
 
     def begin(self, process: int) -> None:
-        """A process of the planner begins."""
         if not process:  # what stood still has ended
             self._still = self.now - self.awake
             self._still_from = self._still_until = self.now
@@ -99,8 +99,6 @@ class InterfaceAccount:
         self.alone_since = self.awake
         self.counts_at_start: int | None = None
         self._tables, self._needed, self._failed = self.declared, self.declared, False
-
-    # --- time
 
     @property
     def awake(self) -> float:
@@ -140,7 +138,6 @@ class InterfaceAccount:
         return min(request.sent_at, self._still_from) if stood else request.sent_at
 
     def note(self, kind: str, at: float | None = None) -> None:
-        """Records the time of an event [s]."""
         self._last[kind] = self.now if at is None else at, self.awake
 
     def had(self, kind: str, since: float) -> bool:
@@ -151,7 +148,10 @@ class InterfaceAccount:
         """Returns whether there was an event of a kind in the last seconds that the process was awake."""
         return kind in self._last and self._last[kind][1] >= self.awake - seconds
 
-    # --- what held
+    @property
+    def full_lately(self) -> bool:
+        """Whether the socket to the executor is full, or was a moment ago."""
+        return self.full or self.lately("full", 0.5)
 
     def hears(self, snapshot: Snapshot | None) -> None:
         """The process gets a snapshot, or its connection ends."""
@@ -164,7 +164,6 @@ class InterfaceAccount:
         self.heard.append(Heard(self.now, self.awake, snapshot))
 
     def loses(self) -> None:
-        """The connection to the executor has ended."""
         self.note("link")
         self.alone_since = min(self.alone_since, self.awake)
         self.hears(None)
@@ -189,18 +188,14 @@ class InterfaceAccount:
 
     @property
     def snapshot(self) -> Snapshot | None:
-        """The newest snapshot."""
         return self.heard[-1].snapshot
 
     def waiting(self, *keys: str) -> list[Request]:
-        """Returns the queries on these keys that are not answered."""
         return [r for r in self.requests if r.query and r.answer is None and r.key in keys]
 
     def ran(self, goal: str) -> list[Ran]:
         """Returns the programs of a goal's id, the oldest first."""
         return [ran for ran in self.programs.values() if ran.goal == goal]
-
-    # --- tables and obstacles
 
     def needs_tables(self, snapshot: Snapshot) -> None:
         """Records for which locked states the planner needs tables."""

@@ -20,10 +20,6 @@ class JudgedDiagnostics:
 
     Attributes:
         tasks: least and greatest number of tasks of the workers since the last publication.
-
-    Args:
-        account: of the planner's side.
-        warnings: judges those of the shell.
     """
 
     def __init__(self, account: InterfaceAccount, warnings: JudgedWarnings) -> None:
@@ -31,7 +27,6 @@ class JudgedDiagnostics:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._told = self._a.awake
         self._reports: deque[tuple[float, Diagnostics | None]] = deque([(self._a.awake, None)], maxlen=20)
         self._counts: list[int] = []
@@ -42,7 +37,6 @@ class JudgedDiagnostics:
         self._reports.append((self._a.awake, report))
 
     def diagnostics(self, payload: Payload) -> None:
-        """Judges a publication."""
         a = self._a
         apart = a.awake - self._told
         stood = a.lately("still", 2 * EVERY) or a.lately("congested", 3.0) or a.congested or a.slow

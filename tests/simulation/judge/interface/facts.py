@@ -18,7 +18,6 @@ class Request:
 
     Attributes:
         number: in the order of arrival.
-        process: number of the planner's process.
         body: its payload, if that is a JSON object.
         at: time of arrival; `awake` is the process's awake time then [s].
         answer: that has left the daemon; None before.
@@ -50,12 +49,10 @@ class Request:
 
     @property
     def accepted(self) -> bool:
-        """Whether the answer says that it is carried out."""
         return self.answer is not None and bool(self.answer.get("accepted"))
 
     @property
     def goal(self) -> str | None:
-        """The id that the client gave."""
         name = self.body.get("id")
         return name if isinstance(name, str) else None
 
@@ -68,7 +65,6 @@ class Ran:
     """A program that the executor has accepted.
 
     Attributes:
-        goal: the id in its name.
         states: of the boards when it was accepted.
         cubes: all obstacles that may have been in force then.
         process: of the planner that sent it.
@@ -126,7 +122,6 @@ class Ran:
 
     @property
     def recorded(self) -> bool:
-        """Whether the ledger has its result."""
         return self.recorded_at < math.inf
 
     def mark(self, waypoint: int) -> int:
@@ -141,7 +136,6 @@ class Ran:
 
     @property
     def key(self) -> tuple[int, int]:
-        """Identity of the program."""
         return self.instance, self.program.program
 
 

@@ -6,6 +6,7 @@ import json
 from collections import Counter, deque
 from typing import Any
 
+from hyperbit.controller.program import PlayableFaults
 from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
 from tests.simulation.judge.interface.facts import Payload, Request
 from tests.simulation.judge.interface.messages import well_formed
@@ -27,29 +28,24 @@ class Gateway:
     """Judges what the planner's core does not know.
 
     Attributes:
-        recorded: whether a recorder listens.
-
-    Args:
-        account: of the planner's side.
+        playable: faults that can be played in the boards; None: the boards count as real.
     """
 
     def __init__(self, account: InterfaceAccount) -> None:
         self._a, self.recorded = account, False
+        self.playable: PlayableFaults | None = None
         self.poses: dict[str, Any] = {}  # saved, by name
         self.unwritable = self.damaged = False
         self._homes = ""
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._unnoted: dict[int, tuple[Request, float]] = {}
         self._instant, self._arrived, self._pauses = -1.0, Counter[str](), 0
         self._malformed: dict[str, deque[float]] = {}
         self._explained: dict[str, deque[float]] = {}
         self._changes: deque[tuple[float, int]] = deque([(self._a.awake, 0)], maxlen=400)
         self._lists: deque[tuple[float, dict[str, Any]]] = deque([(self._a.now, dict(self.poses))], maxlen=400)
-
-    # --- arrivals
 
     def arrives(self, request: Request) -> None:
         """Takes a request before the gateway does."""
@@ -83,10 +79,7 @@ class Gateway:
             seconds == PAUSE and most >= FLOOD, f"the gateway pauses for {seconds} s after {most} requests on a key"
         )
 
-    # --- answers
-
     def answers(self, request: Request, answer: Payload) -> None:
-        """Judges an answer that leaves."""
         a = self._a
         accepted = answer.get("accepted") is not False
         if accepted and "*" in request.name:
@@ -105,10 +98,7 @@ class Gateway:
         if self.recorded and request.key != "arm":
             self._unnoted[request.number] = request, a.awake
 
-    # --- notes
-
     def note(self, payload: Payload) -> None:
-        """Judges a note on a request."""
         a = self._a
         require(self.recorded, f"the note {payload} is for nobody")
         mine = [r for r in a.requests if r.key == payload["key"] and noted(r, payload)]
@@ -135,8 +125,6 @@ class Gateway:
             known = request.accepted or len(second) < MOST_NOTES
             held_up = a.congested or a.lately("congested", 3.0) or a.quits
             require(not known or held_up, f"{request} was answered by {request.answer}, without a note")
-
-    # --- poses
 
     def _expect(self, request: Request) -> None:
         """Decides what becomes of a request on poses, which takes effect at its arrival."""
@@ -175,17 +163,28 @@ class Gateway:
         held_up = a.congested or a.lately("congested", 1.0)
         require(least <= payload["poses"] <= most or held_up, f"state tells the poses {payload['poses']}, not {most}")
 
-    # --- the description
+    def _judge_simulation(self, answer: Payload, text: str) -> None:
+        """Judges whether the boards are simulated, and which faults can be played while an executor is there."""
+        require(answer["simulated"] is (self.playable is not None), f"{text} says simulated: {answer['simulated']}")
+        told = answer["simulation"]
+        connected = {heard.snapshot is not None for heard in self._a.truths(DELAY + 0.5 * self._a.slow)}
+        require(told is not None or self.playable is None or False in connected, f"{text} tells no faults to play")
+        if told is not None:
+            require(self.playable is not None, f"{text} tells faults of real boards: {told}")
+            assert self.playable is not None
+            wanted = {kind: list(getattr(self.playable, kind)) for kind in ("boards", "buses", "interlocks")}
+            fields = ("verb", "target", "argument", "text")
+            faults = [{name: getattr(verb, name) for name in fields} for verb in self.playable.faults]
+            require(told == {**wanted, "faults": faults}, f"{text} tells the faults {told}")
 
     def description(self, request: Request, answer: Payload) -> None:
-        """Judges the description of the arm."""
         a, text = self._a, f"the answer to {request}"
         missing, wanted = DESCRIBED - answer.keys(), asked_for(request)
         require(not missing, f"{text} has no {missing}")
         for part in ("running", "drawing", "file"):
             require((part in answer) == (part in wanted), f"{text}; {part} is asked for: {part in wanted}")
         require(answer["actuators"] == list(a.modules.labels), f"{text} has the actuators {answer['actuators']}")
-        require(answer["simulated"] is False and answer["simulation"] is None, f"{text} is simulated")
+        self._judge_simulation(answer, text)
         require(set(answer["daemon"]) == {"host", "pid"}, f"{text} has the daemon {answer['daemon']}")
         self._judge_list(request, answer["poses"], text)
         regions = answer["sent_obstacles"]

@@ -10,7 +10,7 @@ from hyperbit.controller.program import Snapshot, unpack
 from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
 from tests.simulation.judge.interface.asked import barring, ends_at, lined, patience, posed, wanted
 from tests.simulation.judge.interface.facts import Heard, Request
-from tests.simulation.judge.interface.locks import leaves_states
+from tests.simulation.judge.interface.locks import may_leave_none
 from tests.simulation.judge.interface.messages import well_formed
 
 EPOCH_IN_FLIGHT = 0.1  # [s] from a new epoch of the executor to the planner, which may still be reading
@@ -18,12 +18,7 @@ EXACT = 0.001  # [s]
 SILENT = 2.0  # [s] after which an executor without an answer counts as silent
 MOST_WAITING, MOST_PLANS, MOST_UNANSWERED = 16, 4, 100  # goals and jogs; plan queries; requests on one key
 LONGEST_PLANNING = 60.0  # [s]
-TABLES_WITHIN = 8.0  # [s] for which a goal waits for the tables of other locks
-MOST_TRIES = 10  # plans of one goal while the arm moves
 COLLISIONS = ("no-clear-path", "no-way", "goal-in-obstacle", "plan-collides")
-
-
-# --- what the snapshots tell
 
 
 def _any(a: InterfaceAccount, request: Request, holds: Callable[[Snapshot], bool]) -> bool:
@@ -56,7 +51,6 @@ def _in_fault(a: InterfaceAccount, request: Request) -> bool:
 
 
 def known(snapshot: Snapshot) -> int:
-    """Returns the mask of the known actuators."""
     return unpack(snapshot.known)
 
 
@@ -78,9 +72,6 @@ def _planned_from(snapshot: Snapshot) -> int:
 def _commanded(snapshot: Snapshot) -> int:
     held = unpack(snapshot.locked) & known(snapshot)
     return unpack(snapshot.measured) & held | unpack(snapshot.outputs) & ~held
-
-
-# --- what came
 
 
 def _overtaken(a: InterfaceAccount, request: Request) -> bool:
@@ -114,6 +105,8 @@ def _behind(a: InterfaceAccount, request: Request) -> bool:
 
 
 def _lost(a: InterfaceAccount, request: Request) -> bool:
+    if a.full_lately and request.key in ("stop", "cancel"):  # sent at once, or not at all
+        return True
     return a.had("link", request.at) or _disconnected(a, request)
 
 
@@ -159,9 +152,6 @@ def _busy(a: InterfaceAccount, request: Request) -> bool:
 
 def _running(a: InterfaceAccount, request: Request) -> bool:
     return any(ran.ended is None or ran.heard_at >= a.now - 5.0 for ran in a.ran(request.goal or ""))
-
-
-# --- what is asked for
 
 
 def _too_fast(a: InterfaceAccount, request: Request) -> bool:
@@ -268,7 +258,7 @@ def _interlock(a: InterfaceAccount, request: Request) -> bool:
 def _without_state(a: InterfaceAccount, request: Request) -> bool:
     """No configuration has the locked actuators in their states."""
     k, state = a.modules.labels.index(request.body["actuator"]), request.body["state"]
-    return _any(a, request, lambda snapshot: not leaves_states(a.modules, snapshot, k, state))
+    return _any(a, request, lambda snapshot: may_leave_none(a.modules, snapshot, k, state))
 
 
 def _unknown_goal(a: InterfaceAccount, request: Request) -> bool:
@@ -331,6 +321,7 @@ GROUNDS: dict[str, Callable[[InterfaceAccount, Request], bool]] = {
     "line-with-pose": _line_with_pose,
     "line-too-fast": _too_fast,
     "plan-canceled": _plan_canceled,
-    "not-simulated": lambda a, request: request.key == "fault",
+    "not-simulated": lambda a, request: request.key == "fault" and not a.simulated,
+    "no-such-fault": lambda a, request: request.key == "fault" and a.simulated,
     "interlock-open": _interlock,
 }

@@ -53,10 +53,8 @@ class InterfaceJudge:
     """Judges one planner's side. The world calls the methods below as things happen.
 
     Args:
-        modules: the arm.
         wall: returns the UNIX time [s].
         driven: returns the states to which the boards drive the actuators.
-        clear: returns whether nothing disturbs the world.
     """
 
     def __init__(
@@ -81,8 +79,7 @@ class InterfaceJudge:
         self._replacing: Replacement | None = None  # the last one that the executor took
         self._met = 0  # instance of the executor that the planner is connected to
         self._ticked = 0.0
-
-    # --- the planner's process
+        self._epoch = -1  # that the executor told last
 
     def at(self, now: float) -> None:
         """Sets the time of the next facts [s], and looks for what does not come."""
@@ -106,20 +103,15 @@ class InterfaceJudge:
         require(not left, f"the process has ended without the answers to {left}")
 
     def task(self, search: Search) -> None:
-        """A worker gets a task."""
         self.searches.begins(search)
         if search.kind == "follow":
             self.streams.searches(search.tolerance)
 
     def quits(self) -> None:
-        """The process is asked to end."""
         self.account.quits = True
         self.account.note("quit")
 
-    # --- clients
-
     def arrives(self, sent: object, key: str) -> Request:
-        """A message of a client arrives on a declared key."""
         a = self.account
         a.numbers += 1
         fields = sent.client, key, sent.name, sent.query, sent.payload, sent.attachment  # type: ignore[attr-defined]
@@ -150,7 +142,6 @@ class InterfaceJudge:
             self.motion.setpoint(sender, first)
 
     def replies(self, request: object, data: bytes) -> None:
-        """A reply leaves the process."""
         assert isinstance(request, Request)
         answer = msgspec.json.decode(data)
         self.requests.answers(request, answer)
@@ -161,7 +152,6 @@ class InterfaceJudge:
             self.journal.refused(answer)
 
     def publishes(self, key: str, data: bytes) -> None:
-        """A publication leaves the process."""
         payload = msgspec.json.decode(data)
         match key:
             case "state":
@@ -182,22 +172,17 @@ class InterfaceJudge:
                 if payload["status"] != "refused":
                     self.journal.result(payload)
 
-    # --- the executor
-
     def executor_begins(self, instance: int) -> None:
-        """A process of the executor has started."""
         self.account.instance = instance
         self.motion.executor_begins()
         self._asked = self._running = None
 
     def executor_ends(self) -> None:
-        """The process of the executor has ended."""
         self.account.note("executor ended")
         self.account.instance = 0
         self._asked = self._running = None
 
     def executor_gets(self, message: object) -> None:
-        """The executor takes a message of a client."""
         a = self.account
         match message:
             case Program():
@@ -216,9 +201,12 @@ class InterfaceJudge:
                 self.motion.acknowledges(message)
 
     def executor_tells(self, message: object) -> None:
-        """The executor sends a message."""
         a = self.account
         match message:
+            case Snapshot():
+                if message.epoch != self._epoch:
+                    self._epoch = message.epoch
+                    a.note("epoch")
             case Accepted() if self._asked is not None:
                 self._accept(self._asked, message)
             case Replaced(accepted=True) if (ran := self._of(message.program)) is not None:
@@ -263,17 +251,13 @@ class InterfaceJudge:
         return self.account.programs.get((self._met, program))
 
     def switches(self, mask: int) -> None:
-        """A SYNC has switched actuators."""
         self.account.note("switched")
         if self._running is not None:
             self._running.switches += mask.bit_count()
         if mask:
             self.motion.switches(mask, self._running)
 
-    # --- what the planner's process gets
-
     def hears(self, message: object) -> None:
-        """The process gets a message of the executor."""
         a = self.account
         self.link.hears(isinstance(message, Welcome))
         match message:
@@ -298,7 +282,6 @@ class InterfaceJudge:
                 ran.heard_at, ran.heard_awake = min(ran.heard_at, a.now), min(ran.heard_awake, a.awake)
 
     def _compare(self, before: Snapshot | None, snapshot: Snapshot) -> None:
-        """Notes what has changed between two snapshots."""
         a = self.account
         if before is None or before.epoch != snapshot.epoch:
             a.note("epoch")
@@ -313,25 +296,20 @@ class InterfaceJudge:
         a.needs_tables(snapshot)
 
     def disconnected(self) -> None:
-        """The process's connection to the executor has ended."""
         self.account.loses()
         self.diagnostics.hears(None)
         self.link.ends()
-
-    # --- what the workers and the disk do
 
     def tables_built(self, locked: bytes | None) -> None:
         """A worker has answered with tables for locked states; None: it has failed."""
         self.account.takes_tables(locked)
 
     def recorded(self, goal: str, status: str) -> None:
-        """The ledger has written the result of a goal."""
         for ran in self.account.ran(goal):
             if ran.results and ran.results[0]["status"] == status:
                 ran.recorded_at = min(ran.recorded_at, self.account.now)
 
     def scene_begun(self) -> None:
-        """A worker begins to build a scene."""
         self.account.scenes += 1
         self.account.note("cubes")
 

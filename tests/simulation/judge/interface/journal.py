@@ -17,22 +17,21 @@ AGREE_WITHIN = 0.3  # [s], awake, between a state and the lines on its faults
 WATCHDOG = 1.3, 0.9  # [s], awake, longest and shortest time between two
 MANY = f"more than {MOST_LINES} requests are refused in this second"
 UNTOLD = {"clock-set", "network-lost", "ledger-unwritten"}  # warnings, which the shell logs itself
+WARNINGS = {  # of the executor's page
+    *("bus-passive", "board-limits", "outputs-off", "ledger-damaged", "journal", "in-obstacle", "unknown-state"),
+    *("unknown-position", "degraded"),
+}
 BY_GATEWAY = ("not-named", "busy", "unknown-goal")
 
 
 class Journal:
-    """Judges lines and notifications.
-
-    Args:
-        account: of the planner's side.
-    """
+    """Judges lines and notifications."""
 
     def __init__(self, account: InterfaceAccount) -> None:
         self._a = account
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         a = self._a
         self._lines: deque[tuple[float, str]] = deque(maxlen=300)
         self._faults: dict[tuple[str, str], float] = {}  # that lines tell, and since when, awake
@@ -41,10 +40,7 @@ class Journal:
         self._statuses: deque[tuple[float, str]] = deque(maxlen=20)
         self._watchdog = a.awake
 
-    # --- lines
-
     def logs(self, level: int, text: str, fields: Mapping[str, str]) -> None:
-        """Takes a line of the planner's core."""
         a = self._a
         self._lines.append((a.now, text))
         if "HYPERBIT_FAULT" in fields:
@@ -61,7 +57,7 @@ class Journal:
             self._over[key] = self._a.awake
             return
         require(key not in self._faults, f"the journal tells {key} again")
-        wanted = logging.WARNING if key[0] == "degraded" else logging.ERROR
+        wanted = logging.WARNING if key[0] in WARNINGS else logging.ERROR
         require(text.startswith(f"{key[0]}: ") and level == wanted, f"the line {text} has the level {level}")
         self._faults[key] = self._a.awake
 
@@ -88,8 +84,6 @@ class Journal:
         known = any(text == line for _, text in self._lines)
         require(known or len(self._lines) == self._lines.maxlen, f"the journal does not have the result {payload}")
 
-    # --- states
-
     def state(self, payload: Payload) -> None:
         """Compares the faults of a state with the lines, and its mode and reason with the status for systemd."""
         awake = self._a.awake
@@ -102,17 +96,15 @@ class Journal:
         for key in self._faults.keys() - told:
             since = awake - self._faults[key]
             require(since < AGREE_WITHIN, f"the journal tells {key} for {since:g} s, and state does not")
-        status = f"STATUS={payload['mode']}: {payload['reason']}"
+        boards = " (simulated)" if self._a.simulated else ""
+        status = f"STATUS={payload['mode']}{boards}: {payload['reason']}"
         lately = [text for at, text in self._statuses if awake - at < AGREE_WITHIN]
         before = [text for at, text in self._statuses if awake - at >= AGREE_WITHIN]
         permitted = [*before[-1:], *lately]
         full = len(self._statuses) == self._statuses.maxlen
         require(status in permitted or full, f"systemd was told {permitted}, and state is {status}")
 
-    # --- systemd
-
     def notifies(self, assignment: str) -> None:
-        """Takes what systemd is told."""
         a = self._a
         if assignment.startswith("STATUS="):
             last = self._statuses[-1][1] if self._statuses else ""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
-from hyperbit.controller.program import Alive, Cancel, Clearance, Counts, Lock, Program, Question, Reset, unpack
+from hyperbit.controller.program import Alive, Cancel, Clearance, Counts, Lock, Program, Question, Reset, Stop, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount
 from tests.simulation.judge.interface.facts import Request
 from tests.simulation.judge.verdict import require
@@ -19,9 +20,6 @@ class Link:
 
     Attributes:
         timeout: of the arm's file, half the time after which a silent executor is given up [s].
-
-    Args:
-        account: of the planner's side.
     """
 
     def __init__(self, account: InterfaceAccount) -> None:
@@ -29,10 +27,10 @@ class Link:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._alive_at = self._heard_at = self._a.awake
         self._connected = self._counted = False
         self._first = True
+        self._waiting = deque[object]()  # what was handed out and not sent
         self._questions: dict[int, Question] = {}
 
     def hears(self, greeting: bool) -> None:
@@ -42,24 +40,37 @@ class Link:
             self._connected, self._counted, self._first, self._alive_at = True, False, True, self._a.awake
 
     def ends(self) -> None:
-        """The connection has ended."""
         self._connected = False
+        self._waiting.clear()
 
     def sends(self, message: object) -> None:
-        """The planner sends a message."""
+        """A message leaves the planner's process. A stop, and a cancel of all, need not wait for those before."""
         a = self._a
-        if self._connected and not self._counted:
-            known = isinstance(message, Counts) and tuple(message.counts) == tuple(a.ledger_counts)
-            require(known, f"the planner first sends {message}, its ledger counts {a.ledger_counts}")
+        if not isinstance(message, Stop) and not (isinstance(message, Cancel) and message.program is None):
+            require(bool(self._waiting), f"the planner sends {message}, which was not handed out")
+            first = self._waiting.popleft()
+            require(message == first, f"the planner sends {message}, before it {first} was handed out")
+        elif self._waiting and message == self._waiting[0]:
+            self._waiting.popleft()
+        if not self._counted and isinstance(message, Counts):
+            known = tuple(message.counts) == tuple(a.ledger_counts)
+            require(known, f"the planner sends {message}, its ledger counts {a.ledger_counts}")
             self._counted = True
+        require(self._counted, f"the planner sends {message} before its counts")
+        if isinstance(message, Alive):
+            apart = a.awake - self._alive_at
+            soon = apart >= ALIVE_LEAST or self._first or a.lately("still", 0.3) or a.slow or a.full_lately
+            require(soon, f"the planner is alive {apart:g} s after the last time")
+            self._alive_at, self._first = a.awake, False
+
+    def hands_out(self, message: object) -> None:
+        """The planner hands a message to its link, which sends it at once unless the socket is full."""
+        a = self._a
+        if self._connected:
+            self._waiting.append(message)
         match message:
             case Program(program=int(number)):
                 a.sends(number)
-            case Alive():
-                apart = a.awake - self._alive_at
-                soon = apart >= ALIVE_LEAST or self._first or a.lately("still", 0.3) or a.slow
-                require(soon, f"the planner is alive {apart:g} s after the last time")
-                self._alive_at, self._first = a.awake, False
             case Lock(actuator=k, state=state):
                 wanted = a.modules.labels[k], None if state < 0 else state
                 mine = [r for r in self._pending("degrade") if locks(r) == wanted]
@@ -76,7 +87,6 @@ class Link:
                 require(not twice, f"{message} cancels a program that has a result")
 
     def asks(self, question: Question) -> None:
-        """The executor asks whether a stage is clear."""
         self._questions[question.question] = question
 
     def _judge_clearance(self, message: Clearance) -> None:
@@ -94,7 +104,6 @@ class Link:
         return [r for r in self._a.requests if r.key == key and r.answer is None]
 
     def gives_up(self, reason: str) -> None:
-        """The planner ends the connection."""
         a = self._a
         silent = a.awake - self._heard_at
         keys = ("stop", "cancel", "reset", "degrade")
@@ -107,11 +116,13 @@ class Link:
     def tick(self) -> None:
         """Finds a planner that is not alive."""
         a = self._a
+        if a.full_lately:
+            return
+        require(not self._waiting, f"the planner has not sent {list(self._waiting)[:3]}")
         if self._connected and a.process and not a.quits and not a.slow and not a.lately("still", 0.3):
             late = a.awake - self._alive_at
             require(late <= ALIVE_EVERY, f"the planner was not alive for {late:g} s")
 
 
 def locks(request: Request) -> tuple[object, object]:
-    """Returns label and state of a lock that a request asks for."""
     return request.body.get("actuator"), request.body.get("state")

@@ -32,7 +32,6 @@ class Mailboxes:
     """Judges the mailboxes of one key.
 
     Args:
-        account: of the planner's side.
         key: "setpoint" or "measured_tip".
     """
 
@@ -41,12 +40,10 @@ class Mailboxes:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._waiting: dict[str, Waiting] = {}
         self._last = 0  # number of the last sample that the core took
 
     def arrives(self, request: Request) -> None:
-        """A sample arrives."""
         if "*" in request.name:
             return
         sender = request.attachment[:MOST_SENDER].decode("ascii", "backslashreplace")

@@ -48,13 +48,11 @@ class JudgedModules:
     """All configurations of a planar arm.
 
     Attributes:
-        labels: of the actuators.
         uniform: whether each switch costs 1.
         tips: by code; a code is the actuator states as bits.
         notations: digit of each module's state, by code.
 
     Args:
-        modules: base first.
         base: frame (4, 4).
         weights: cost of a switch of each actuator.
         most: actuators that may switch at once.

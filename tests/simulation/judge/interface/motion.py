@@ -15,18 +15,13 @@ HEARD_WITHIN = 0.05  # [s] from the arrival of a set-point to its stages, and fr
 
 
 class Motion:
-    """Judges switches and followed set-points.
-
-    Args:
-        account: of the planner's side.
-    """
+    """Judges switches and followed set-points."""
 
     def __init__(self, account: InterfaceAccount) -> None:
         self._a = account
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self.stop: Request | None = None
         self._cancels: list[Request] = []  # and stops that were answered, the newest last
         self._last: dict[str, float] = {}  # time of the last set-point of each sender [s]
@@ -35,8 +30,6 @@ class Motion:
     def executor_begins(self) -> None:
         """A new process of the executor knows of no stop."""
         self.stop = None
-
-    # --- obstacles and stops
 
     def switches(self, mask: int, ran: Ran | None) -> None:
         """Judges actuators that a SYNC has switched for a program, or for set-points."""
@@ -65,17 +58,13 @@ class Motion:
         require(not touched, f"a stage from {before:b} to {after:b} touches {touched}")
 
     def bars(self, request: Request) -> None:
-        """Records the answer to a stop."""
         self._cancels = [*self._cancels[-9:], request]
         if request.key == "stop":
             later = [r for r in self._a.requests if r.key == "reset" and r.number > request.number]
             self.stop = None if later else request
 
     def resets(self) -> None:
-        """A reset arrives."""
         self.stop = None
-
-    # --- set-points
 
     def setpoint(self, sender: str, number: int) -> None:
         """Records a set-point that counts, and the number of the first one that it has displaced."""
@@ -101,8 +90,6 @@ class Motion:
             replaces = ran.request is not None and ran.process == a.process and ran.at < a.now - 2 * HEARD_WITHIN
             if replaces and ran.request is not None:
                 require(begun > ran.request.number, f"{message}, but {ran.goal} has ended this stream")
-
-    # --- acknowledgements
 
     def acknowledges(self, message: Acknowledge) -> None:
         """Judges that a result was published and recorded before it is acknowledged."""

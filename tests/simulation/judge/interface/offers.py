@@ -18,17 +18,12 @@ MADE_WITHIN = 0.01  # [s] from the making of a program to the executor
 
 
 class Offers:
-    """Judges programs.
-
-    Args:
-        account: of the planner's side.
-    """
+    """Judges programs."""
 
     def __init__(self, account: InterfaceAccount) -> None:
         self._a = account
 
     def gets(self, program: Program) -> None:
-        """The executor gets a program."""
         a = self._a
         kind, _, goal = program.name.partition(" ")
         text = f"the program of {program.name}"

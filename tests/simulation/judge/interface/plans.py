@@ -10,10 +10,15 @@ from tests.simulation.judge.interface.asked import lined, wanted
 from tests.simulation.judge.interface.facts import Payload, Request
 from tests.simulation.judge.verdict import require
 
+LEAVES_WITHIN = 0.05  # [s] from the decision to the answer
+
 
 def judge_plan(a: InterfaceAccount, request: Request, answer: Payload, text: str) -> None:
     """Judges a plan of an arm that stood still, among obstacles that did not change."""
     require(isinstance(answer.get("switches"), int), f"{text} has no switches")
+    later = [r for r in a.requests if r.key == "cancel" and r.goal == request.goal and r.number > request.number]
+    barred = [r for r in later if request.goal and r.accepted and r.answered_at < a.now - LEAVES_WITHIN]
+    require(not barred or a.slow or a.congested, f"{text} comes after the answer to {barred[:1]}")
     if any(a.had(kind, request.at - 0.2) for kind in ("moved", "locks", "cubes")):
         return
     moments = [heard.snapshot for heard in a.truths(a.awake - request.awake + DELAY)]

@@ -17,6 +17,7 @@ from tests.simulation.judge.interface.refusals import judge_refusal
 from tests.simulation.judge.verdict import require
 
 EXECUTOR_ANSWERS = 3.0  # [s], awake: the planner gives an executor up after 2 s without an answer
+SLOW_PEER = 0.15  # [s] that an answer waits for a peer that reads slowly, for each answer before it
 ANSWERED_WITHIN = {  # [s], awake, from the arrival to the answer
     **dict.fromkeys(("stop", "cancel", "reset", "degrade", "fault"), EXECUTOR_ANSWERS),
     **dict.fromkeys(("arm", "result", "poses"), 1.0),
@@ -45,9 +46,6 @@ class Requests:
 
     Attributes:
         barred: takes each stop and cancel with its answer.
-
-    Args:
-        account: of the planner's side.
     """
 
     def __init__(self, account: InterfaceAccount) -> None:
@@ -57,11 +55,8 @@ class Requests:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._barriers: list[Request] = []
         self._claims.clear()
-
-    # --- arrivals
 
     def arrives(self, request: Request) -> None:
         """Records a request, and which one it repeats."""
@@ -95,10 +90,7 @@ class Requests:
             if request.original is not None:
                 return
 
-    # --- answers
-
     def answers(self, request: Request, answer: Payload) -> None:
-        """Judges an answer."""
         a = self._a
         require(request.answer is None, f"{request} is answered again: {answer}")
         request.answer, request.answered_at = answer, a.now
@@ -131,6 +123,8 @@ class Requests:
                 self._locks(request)
             case "result":
                 self._judge_result(request, answer)
+            case "fault":
+                require(a.simulated, f"{text}; the boards are real")
             case "plan":
                 judge_plan(a, request, answer, text)
 
@@ -289,8 +283,6 @@ class Requests:
         same = any(all(result[name] == known[name] for name in fields) for known in every)
         require(same or a.had("planner ended", a.now - 10.0), f"{request} is answered by {answer}; told were {every}")
 
-    # --- time
-
     def _later(self, seconds: float, judge: Callable[[], None]) -> None:
         self._claims.append((self._a.awake + seconds, judge))
 
@@ -308,6 +300,8 @@ class Requests:
             if a.reconnecting:  # answers wait behind results
                 continue
             longest = ANSWERED_WITHIN.get(request.key, patience(request) + LATE + WRITTEN_WITHIN)
+            if a.congested or a.lately("congested", longest):
+                longest += SLOW_PEER * sum(r.query and r.answered_at >= request.at for r in a.requests)
             if request.key == "obstacles" and (a.scene_building or a.had("cubes", a.now - longest)):
                 continue
             require(waited <= longest, f"{request} has no answer after {waited:g} s, awake; {longest:g} s at most")

@@ -23,19 +23,12 @@ PROOFS = ("optimal", "bound", "unknown")
 
 
 class Results:
-    """Judges feedback and results.
-
-    Args:
-        account: of the planner's side.
-    """
+    """Judges feedback and results."""
 
     def __init__(self, account: InterfaceAccount) -> None:
         self._a, self._words = account, Words(account)
 
-    # --- feedback
-
     def feedback(self, payload: Payload) -> None:
-        """Judges the feedback of a waypoint."""
         a, goal = self._a, str(payload["id"])
         text = f"feedback {payload}"
         ran = next((ran for ran in reversed(a.ran(goal)) if not ran.jog and ran.process == a.process), None)
@@ -109,10 +102,7 @@ class Results:
             return waypoint["position"]
         return self._a.modules.tips[self._a.modules.codes[waypoint["configuration"]]].position
 
-    # --- results
-
     def result(self, payload: Payload) -> None:
-        """Judges a result."""
         a = self._a
         if payload["status"] == "refused":
             self._judge_refused(payload)
@@ -205,8 +195,6 @@ class Results:
             waited = a.awake - mine[0].told_awake
             require(waited <= RECORDED_WITHIN, f"the result of {goal} is recorded {waited:g} s after it was published")
 
-    # --- status
-
     def _judge_status(self, ran: Ran, ended: Ended | None, payload: Payload, text: str) -> None:
         a, status = self._a, payload["status"]
         cause = ended.status if ended is not None else "lost"
@@ -264,8 +252,6 @@ class Results:
         if reached:
             self._judge_error(payload, request, -1, text)
 
-    # --- numbers
-
     def _judge_feedback_complete(self, ran: Ran, text: str) -> None:
         told = {ran.mark(payload["waypoint"]) for payload in ran.feedback}
         missing = (ran.settled.keys() & set(ran.places.values()) if ran.places else ran.settled.keys()) - told
@@ -300,8 +286,6 @@ class Results:
         if payload["optimal"] and a.modules.uniform:
             require(payload["switches"] <= least + EPSILON, f"{text}; {least} switches are possible")
 
-    # --- time
-
     def tick(self) -> None:
         """Finds results and feedback that do not come."""
         a = self._a
@@ -320,5 +304,4 @@ class Results:
 
 
 def unanswered(a: InterfaceAccount) -> list[Request]:
-    """Returns the queries that are not answered."""
     return [request for request in a.requests if request.query and request.answer is None]

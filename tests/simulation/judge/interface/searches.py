@@ -33,11 +33,7 @@ class Searches:
 
     Attributes:
         prepares: whether the next search is prepared while no request waits.
-        steps: number of steps of the planner's core.
         least, most: number of tasks since `count`.
-
-    Args:
-        account: of the planner's side.
     """
 
     def __init__(self, account: InterfaceAccount) -> None:
@@ -45,7 +41,6 @@ class Searches:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._running: dict[int, Search] = {}
         self._prepared: Search | None = None  # the last one
         self._prepared_awake = -math.inf  # end of the last one
@@ -53,8 +48,6 @@ class Searches:
         self._searched: tuple[Payload, float] | None = None  # the last goal whose search has ended, and when
         self._planned: tuple[Search, float] | None = None  # the last plan, until something is done with it
         self._second, self._in_second = 0, 0
-        self._busy_until = self._a.awake  # awake time at which a request waited last
-        self._last_goal: tuple[Payload, float] | None = None  # of one waypoint, and until when it may be rehearsed
         self._last = self.least = self.most = 0
 
     def count(self) -> tuple[int, int]:
@@ -63,10 +56,7 @@ class Searches:
         self.least = self.most = len(self._running)
         return found
 
-    # --- facts
-
     def begins(self, search: Search) -> None:
-        """A worker gets a task."""
         a = self._a
         search.at, search.awake = a.now, a.awake
         text = f"the task {search.number} ({search.kind})"
@@ -107,7 +97,6 @@ class Searches:
             search.hurried = True
 
     def abandons(self, number: int) -> None:
-        """A worker shall end a task."""
         search = self._running.get(number)
         require(search is None or not search.abandoned, f"the task {number} is abandoned again")
         if search is not None:
@@ -138,8 +127,6 @@ class Searches:
             self._prepared_awake = self._a.awake
         if search is not None and search.kind == "goal" and planned and not search.abandoned:
             self._planned = search, self._a.awake
-
-    # --- a task
 
     def _judge_start(self, search: Search, text: str) -> None:
         """Compares the start with the newest snapshot, and the tables with its locks."""
@@ -199,7 +186,7 @@ class Searches:
         before, self._prepared = self._prepared, search
         if goal is None:
             same = before is not None and before.goal is None and basis(before) == basis(search)
-            kinds = ("motion asked", "scene")  # a scene that fails leaves the same obstacles, with another number
+            kinds = ("motion asked", "scene", "tables")  # what is built anew may be as before, with another number
             interrupted = before is not None and any(a.had(kind, before.at - 0.1) for kind in kinds)
             require(not same or interrupted, f"{text} was prepared before, and nothing has changed")
             return
@@ -210,8 +197,6 @@ class Searches:
         lately = a.now - max(ends) <= REHEARSED + 0.5 or a.had("still", a.now - 3.0) or a.had("disk", a.now - 3.0)
         require(lately or a.congested, f"{text} rehearses {goal}, which is over")
 
-    # --- time
-
     def tick(self) -> None:
         """Finds searches that nobody needs, and those that do not begin."""
         a = self._a
@@ -220,9 +205,12 @@ class Searches:
         waiting = [r for r in a.requests if self._waits(r)]
         self._find_late(waiting)
         self._find_unprepared()
+        ended = [r.at for r in a.requests if r.accepted and ends_motion(r) and r.answered_at < a.now - STALE - 0.02]
         for search in self._running.values():
             if search.kind == "goal" and not search.abandoned:
                 self._judge_needed(search, waiting)
+            if search.kind == "follow" and not search.abandoned and ended:
+                require(search.at > ended[-1], f"the task {search.number} goes on, and its stream has ended")
 
     def _find_unprepared(self) -> None:
         """Finds a next search that is not prepared, though nothing has happened for a while."""
@@ -315,3 +303,8 @@ class Searches:
             return False
         runs = [ran for ran in self._a.programs.values() if ran.at >= request.at]
         return not any(ran.goal == request.goal or (ran.jog and request.key == "jog") for ran in runs)
+
+
+def ends_motion(request: Request) -> bool:
+    """Returns whether a request ends whatever runs."""
+    return request.key == "stop" or (request.key == "cancel" and request.goal is None)

@@ -18,28 +18,21 @@ CHECKED_WITHIN = 0.5  # [s], awake, from obstacles or an arm that moved to the w
 CHECKED_AGAIN = 1.0  # [s] from a check that fails to the next one
 TOLD_WITHIN = 1.5  # [s], awake, from the end of a goal to a state that no longer names it
 OWN = {"degraded", "unknown-state", "in-obstacle", "executor-lost", "internal-error"}  # faults of the planner
-SHELL = {"clock-set", "network-lost", "ledger-unwritten"}
+SHELL = {"clock-set", "certificate-ends", "network-lost", "ledger-unwritten"}
 
 
 class States:
-    """Judges what is published about the arm.
-
-    Args:
-        account: of the planner's side.
-    """
+    """Judges what is published about the arm."""
 
     def __init__(self, account: InterfaceAccount) -> None:
         self._a, self._words = account, Words(account)
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self.latest: Payload | None = None
         self._told = self._a.awake
         self._obstacles = 0
         self._waypoint: tuple[object, int] = (None, -1)
-
-    # --- state
 
     def state(self, payload: Payload) -> None:
         """Judges a state: one snapshot of the last moments explains all of its fields."""
@@ -205,8 +198,6 @@ class States:
         require((turned is None) == (wanted is None), f"state tells the target {target}; it is {asked}")
         fits = turned is None or wanted is None or abs(turn(turned, wanted)) < 1e-6
         require(fits, f"state tells the target {target}; it is {asked}")
-
-    # --- time
 
     def tick(self) -> None:
         """Finds states that do not come."""

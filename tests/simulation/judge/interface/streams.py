@@ -50,18 +50,13 @@ class Counts:
 
 
 class Streams:
-    """Judges streams.
-
-    Args:
-        account: of the planner's side.
-    """
+    """Judges streams."""
 
     def __init__(self, account: InterfaceAccount) -> None:
         self._a = account
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._now, self._tips = Counts(), Counts()
         self._past = deque[Counts]([replace(self._now)], maxlen=60)
         self._past_tips = deque[Counts]([replace(self._tips)], maxlen=60)
@@ -73,8 +68,6 @@ class Streams:
         self._target: tuple[float, ...] = ()
         self._stands_since = math.inf
         self._tolerance = 0.0
-
-    # --- set-points
 
     def setpoint(self, payload: bytes, arrived_at: float, sender: str, now: float) -> bool:
         """The planner's core has taken a set-point; returns whether it is neither malformed nor late."""
@@ -145,7 +138,6 @@ class Streams:
             require(not lost, f"{sent[0]}, of a stream that began before the executor was lost")
 
     def follows(self, message: Setpoint) -> None:
-        """The executor gets a command for a stream."""
         a, awake = self._a, self._a.awake
         text = f"{message}"
         if not a.process:
@@ -166,15 +158,12 @@ class Streams:
         self._sent_at = awake
 
     def arrives(self, payload: bytes) -> None:
-        """A set-point arrives."""
         self._tolerances.append(fields_of(payload)[2])
 
     def searches(self, tolerance: float) -> None:
         """A worker is asked for a configuration near the target."""
         wanted = [known or self._a.tolerance for known in self._tolerances]
         require(tolerance in wanted, f"a set-point is followed within {tolerance}, asked for are {wanted}")
-
-    # --- measured tips
 
     def tip_arrives(self, request: Request) -> None:
         """Records a measured tip, and whether it surely counts."""
@@ -203,10 +192,7 @@ class Streams:
             counts.reason = "" if not position else "stale" if age > TIP_OLDEST else "from-the-future"
         self._past_tips.append(replace(counts))
 
-    # --- diagnostics
-
     def diagnostics(self, payload: Payload) -> None:
-        """Judges the counts."""
         a, told = self._a, payload["setpoint"]
         held_up = a.congested or a.lately("congested", 3.0) or a.lately("still", 1.0)
         entry = next((c for c in self._past if c.received == told["received"]), None)
@@ -267,8 +253,6 @@ class Streams:
             apart = math.dist(told["estimate"], a.offset)
             require(told["accepted"] == 0 or apart < 1e-3, f"{text}; the tracker has {a.offset}")
         a.judge_bias(told["bias"], text)
-
-    # --- time
 
     def tick(self) -> None:
         """Finds an open stream without commands, and a target at which the arm does not arrive."""

@@ -21,7 +21,6 @@ class Search:
         tables: locked state of each actuator, 255 if it is free.
         cubes: obstacles; None: it has none.
         goal: id, waypoints, deadline and time of arrival of a goal.
-        bias: tip bias.
         improves: whether a running plan is to be improved; None: the task is another one.
         tolerance: of a followed set-point.
     """
@@ -67,7 +66,6 @@ def basis(search: Search) -> tuple[Any, ...]:
 
 
 def asks(request: Request, goal: Payload) -> bool:
-    """Returns whether a request asks for a goal."""
     waypoints = request.body.get("waypoints")
     if not isinstance(waypoints, list) or len(waypoints) != len(goal["waypoints"]) or request.goal != goal["id"]:
         return False

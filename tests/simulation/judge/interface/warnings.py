@@ -17,11 +17,7 @@ SET = "the system's clock was set by {:+.1f} s: stamps follow it, motions do not
 
 
 class JudgedWarnings:
-    """Judges warnings.
-
-    Args:
-        account: of the planner's side.
-    """
+    """Judges warnings."""
 
     def __init__(self, account: InterfaceAccount) -> None:
         self._a = account
@@ -37,7 +33,7 @@ class JudgedWarnings:
         """The connections to all peers are lost, or are back."""
         if lost != self._lost:
             self._lost = lost
-            self._lost_at, self._found_at = (self._a.awake, self._found_at) if lost else (math.inf, self._a.now)
+            self._lost_at, self._found_at = (self._a.awake, self._found_at) if lost else (math.inf, self._a.awake)
 
     def ledger(self, waits: bool) -> None:
         """Records wait because the ledger cannot be written, or no longer."""
@@ -48,7 +44,6 @@ class JudgedWarnings:
     # ---
 
     def state(self, payload: Payload) -> None:
-        """Judges the warnings in a state."""
         a = self._a
         told = {fault["code"]: fault["message"] for fault in payload["faults"]}
         held_up = a.lately("still", POLLED) or a.lately("congested", POLLED) or a.congested or a.slow
@@ -56,7 +51,7 @@ class JudgedWarnings:
         large = [entry for entry in mine if abs(entry[2]) > STEP]
         surely = any(a.awake - awake > POLLED and a.now - at < LASTS - POLLED for at, awake, by in large)
         surely = surely and sum(abs(by) > STEP for _, _, by in large) == 1
-        perhaps = any(a.now - at < LASTS + 2 * POLLED for at, _, _ in mine) or held_up
+        perhaps = any(a.awake - awake < LASTS + 2 * POLLED for _, awake, _ in mine) or held_up
         text = f"state {payload['faults']}; the clock was set {self._sets}"
         require("clock-set" not in told or perhaps, text)
         require("clock-set" in told or not surely or held_up, text)
@@ -68,7 +63,7 @@ class JudgedWarnings:
     def _judge_network(self, told: dict[str, str], held_up: bool, text: str) -> None:
         a = self._a
         surely = self._lost and a.awake - max(self._lost_at, a.began_awake) > POLLED
-        perhaps = self._lost or a.now - self._found_at < LASTS + 2 * POLLED or held_up
+        perhaps = self._lost or a.awake - self._found_at < LASTS + 2 * POLLED or held_up
         require("network-lost" not in told or perhaps, text)
         require("network-lost" in told or not surely or held_up, text)
         if "network-lost" in told:

@@ -24,16 +24,10 @@ COLLIDES = re.compile(r"the planned motion would collide: (.*); the arm holds", 
 
 
 class Words:
-    """Judges sentences.
-
-    Args:
-        account: of the planner's side.
-    """
+    """Judges sentences."""
 
     def __init__(self, account: InterfaceAccount) -> None:
         self._a = account
-
-    # --- the reason in `state`
 
     def differs(self, payload: Payload, snapshot: Snapshot) -> str:
         """Returns how the reason in a state differs from a snapshot's; "" if it does not."""
@@ -57,10 +51,7 @@ class Words:
             return ""
         return "" if sentence and reason == sentence else f"the reason is {snapshot.reason}, or {sentence}"
 
-    # --- messages of results
-
     def judge_message(self, ran: Ran, ended: Ended | None, payload: Payload, text: str) -> None:
-        """Judges the message of a result."""
         status, message = payload["status"], payload["message"]
         if status == "succeeded":
             unread = ended is not None and not ended.verified

@@ -1,0 +1,89 @@
+"""The page in a browser behind a proxy that serves it under a sub-path."""
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from hyperbit.controller.panel.access.people import digest_of
+from tests.browser.conftest import OPERATOR, Shown, eventually, started
+from tests.endpoints import free_endpoint, free_port
+from tests.panel.conftest import PlayedDaemon
+
+pytestmark = pytest.mark.timeout(600)
+
+PREFIX = "/hyperbit"
+
+
+class Proxy:
+    """Passes requests below PREFIX to a page on this computer, with a Host of its own, as nginx does by default."""
+
+    def __init__(self, page: int) -> None:
+        self.port, self._page = free_port(), page
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        with contextlib.suppress(asyncio.CancelledError, RuntimeError):
+            self._loop.run_until_complete(self._serve())
+
+    async def _serve(self) -> None:
+        await (await asyncio.start_server(self._connect, "127.0.0.1", self.port)).serve_forever()
+
+    async def _connect(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(OSError, asyncio.IncompleteReadError):
+            head = (await reader.readuntil(b"\r\n\r\n")).decode()
+            there, to = await asyncio.open_connection("127.0.0.1", self._page)
+            assert f" {PREFIX}/" in head.partition("\r\n")[0], "the page asks below its own path only"
+            head = head.replace(f" {PREFIX}/", " /", 1).replace(
+                f"Host: 127.0.0.1:{self.port}", f"Host: 127.0.0.1:{self._page}"
+            )
+            to.write((head if "Upgrade" in head else head.replace("\r\n", "\r\nConnection: close\r\n", 1)).encode())
+            await asyncio.gather(passed(reader, to), passed(there, writer))
+
+    def close(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+
+
+async def passed(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    with contextlib.suppress(OSError):
+        while data := await reader.read(65536):
+            writer.write(data)
+    writer.close()
+
+
+@pytest.fixture
+def shown(tmp_path: Path, driver: object) -> Iterator[Shown]:
+    with ExitStack() as closing:
+        endpoint, page = free_endpoint(), free_port()
+        closing.callback(PlayedDaemon(endpoint).close)
+        proxy = Proxy(page)
+        closing.callback(proxy.close)
+        url = f"http://127.0.0.1:{proxy.port}{PREFIX}"
+        people = tmp_path / "people.yaml"
+        people.write_text(f"people: [{{name: anna, role: operator, token: {digest_of(OPERATOR)}}}]\n")
+        words = ["panel", "--listen", f"127.0.0.1:{page}", "--people", str(people), "--connect", endpoint]
+        started([*words, "--public", url], tmp_path, closing)
+        eventually(lambda: f"hyperbit panel, {url}/" in (tmp_path / "log").read_text())
+        yield Shown(driver, url)
+        driver.get("about:blank")  # type: ignore[attr-defined]
+
+
+def test_the_page_works_below_a_sub_path(shown: Shown) -> None:
+    shown.visit("/", OPERATOR)
+    shown.says(".arms", "planar16")
+    shown.press(".arms a")
+    shown.says("#control", "You are anna, operator")
+    shown.one(".stage canvas")
+    shown.one("#stop").click()
+    shown.says(".notice", "Stop: done")
+    origins = shown.run("return performance.getEntriesByType('resource').map((entry) => new URL(entry.name).pathname)")
+    assert all(path.startswith(f"{PREFIX}/") for path in origins)
+    shown.press(".home")
+    shown.says(".arms", "planar16")

@@ -1,0 +1,131 @@
+"""An arm's file that has every field goes through every command that takes one."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+import pytest
+from msgspec import Struct
+
+from hyperbit.controller.armfile.documents import read_yaml
+from hyperbit.controller.armfile.patience import patient_copy
+from hyperbit.controller.armfile.settings import ArmSettings
+from tests.network.played import free_endpoint
+from tests.waiting import eventually
+
+FILE = Path(__file__).with_name("every_field.yaml")
+JOINT = "x,y,th\n0.03,0.09,-0.3\n0.01,0.09,-0.1\n-0.01,0.09,0.1\n-0.03,0.09,0.3\n"
+SPATIAL = {"sphere", "half_space", "BoxSettings>.orientation"}  # of arms in space
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("every")
+    (folder / "tables").mkdir()
+    (folder / "tables" / "joint.csv").write_text(JOINT)
+    (folder / "every.yaml").write_text(FILE.read_text())
+    return folder / "every.yaml"
+
+
+@pytest.fixture
+def ran(arm: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Any:
+    """Runs a command in a process of its own; returns its output. It must succeed."""
+
+    def run(*words: str) -> str:
+        environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "XDG_STATE_HOME": str(tmp_path)}
+        command = [sys.executable, "-m", "hyperbit", *words]
+        done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=tmp_path)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    return run
+
+
+def missing(value: Any, kind: Any, path: str = "") -> Iterator[str]:
+    """Yields the fields of the reference that a document does not have anywhere."""
+    kind = getattr(kind, "__origin__", kind) if hasattr(kind, "__metadata__") else kind
+    values = value if isinstance(value, list) else [value]
+    if get_origin(kind) in (list, dict):
+        entries = [entry for each in values for entry in each.values()] if get_origin(kind) is dict else values
+        yield from missing(entries, get_args(kind)[-1], path)
+    elif get_origin(kind) in (Union, UnionType):
+        for member in get_args(kind):
+            if isinstance(member, type) and issubclass(member, Struct):
+                tag = member.__struct_config__.tag
+                own = [each for each in values if isinstance(each, dict) and tag in (None, each.get("type"))]
+                yield from missing(own, member, f"{path}<{member.__name__}>")
+    elif isinstance(kind, type) and issubclass(kind, Struct):
+        for name, inner in get_type_hints(kind, include_extras=True).items():
+            own = [each[name] for each in values if isinstance(each, dict) and name in each]
+            if not own:
+                yield f"{path}.{name}"
+            else:
+                flat = [entry for each in own for entry in (each if isinstance(each, list) else [each])]
+                yield from missing(flat, inner, f"{path}.{name}")
+
+
+def test_the_file_has_every_field_of_the_reference() -> None:
+    found = list(missing(read_yaml(FILE), ArmSettings))
+    assert not [name for name in found if not any(field in name for field in SPATIAL)], found
+
+
+def test_commands_without_a_daemon(ran: Any, arm: Path, tmp_path: Path) -> None:
+    file = str(arm)
+    assert json.loads(ran("check", file, "--json", "--picture", "arm.png"))["warnings"] == []
+    told = json.loads(ran("fk", file, "0,0,0,0,0,0,0,0", "--json"))
+    goal = ",".join(str(x) for x in told["position"])
+    planned = json.loads(ran("plan", file, "--goal", goal, "--json", "--deadline", "2"))
+    assert planned["within_tolerance"]
+    ran("map", file)
+    ran("workspace", file, "--at", goal, "--samples", "5")
+    (tmp_path / "goals.csv").write_text(f"x,y\n{goal}\n")
+    ran("plan", file, "--goals", "goals.csv", "--apart", "--effort", "20", "--output", "out.jsonl")
+    copy = patient_copy(arm, tmp_path)
+    assert (tmp_path / "tables" / "joint.csv").read_text() == JOINT
+    assert json.loads(ran("check", str(copy), "--json"))["ok"]
+
+
+def test_commands_of_a_running_arm(ran: Any, arm: Path, tmp_path: Path) -> None:
+    endpoint, log = free_endpoint(), tmp_path / "log"
+    there = ("--connect", endpoint)
+    environment = {**os.environ, "RUNTIME_DIRECTORY": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+    command = [sys.executable, "-m", "hyperbit", "run", str(arm), "--simulate", "--listen", endpoint]
+    with ExitStack() as closing, log.open("w") as output:
+        daemon = subprocess.Popen(
+            [*command, "--ledger", str(tmp_path / "ledger.sqlite")],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            env=environment,
+        )
+        closing.callback(daemon.wait, 60)
+        closing.callback(daemon.send_signal, signal.SIGTERM)
+        eventually(lambda: "ready: holding" in log.read_text() or daemon.poll() is not None, 90, told=log.read_text)
+        eventually(lambda: "serving the arm" in log.read_text() or daemon.poll() is not None, 90, told=log.read_text)
+        assert "wrong-device" not in log.read_text()
+        assert "every" in ran("fleet", *there)
+        ran("send", "every", "--configuration", "01010100", *there)
+        ran("jog", "every", "2.1=extended", *there)
+        ran("lock", "every", "5.1=contracted", *there)
+        ran("lock", "every", "5.1=free", *there)
+        ran("obstacles", "every", *there)
+        ran("poses", "every", "--save", "here", *there)
+        ran("fault", "every", "close", "door", *there)
+        ran("exercise", "every", "1.left", "2.1", "--json", "--yes", *there)
+        ran("stop", "every", *there)
+        ran("reset", "every", *there)
+        ran("cancel", "every", *there)
+    assert "switches" in ran("wear", "--ledger", str(tmp_path / "ledger.sqlite"), str(arm))
+
+
+def test_the_demo(ran: Any, arm: Path) -> None:
+    ran("demo", str(arm), "--picture", "demo.png")

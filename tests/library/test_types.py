@@ -1,0 +1,74 @@
+"""A user's program that uses each public name passes mypy --strict."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import hyperbit as hb
+
+PACKAGE = Path(__file__).parents[2] / ".package"
+PROGRAM = """
+from collections.abc import Iterator
+
+import numpy as np
+
+import hyperbit as hb
+
+method: hb.Method = hb.METHODS[0]
+modules: list[hb.Module] = [
+    hb.vgt(width=0.2, lengths=(0.2, 0.25), count=2),
+    hb.revolute([-0.3, 0.3], link=np.eye(4)),
+    hb.prismatic((0, 1), [0.0, 0.1]),
+    hb.platform([(0, 0), (1, 0), (0.5, 0)], [(0, 0), (1, 0), (0.5, 0)], (1.0, 1.2)),
+    hb.transforms([np.eye(4), np.eye(4)]),
+]
+shapes: list[hb.Obstacle] = [
+    hb.Disc(np.array([1.0, 2.0]), np.float32(0.3), name="pillar"),
+    hb.Sphere((1, 2, 3), 0.3),
+    hb.Box((1, 2), (0.1, 0.2), angle=0.3),
+    hb.HalfPlane((0, 0), (0, 1)),
+    hb.HalfSpace((0, 0, 0), (0, 0, 1)),
+]
+arm: hb.Arm = hb.Arm(modules, tolerance=np.float64(0.002), obstacles=shapes[:1])
+loaded: hb.Arm = hb.load("arm.yaml")
+states: dict[str, str] = {"1.left": "extended"}
+locked = arm.lock(states)
+version: str = hb.__version__
+
+
+def solve(points: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> Iterator[hb.Solution]:
+    ik = hb.Solver(locked, weights=np.ones(12))
+    goal = hb.Goal(points[0], orientation=np.float32(0.1), tolerance=np.float64(0.01))
+    found: hb.Solution = ik.solve(goal, start=arm.home, method=method, effort=np.int64(20))
+    certificate: hb.Certificate = found.certificate
+    many: list[hb.Solution] = ik.solve_many(points, start=found)
+    path: hb.Path = ik.follow(points, path_tolerance=np.float32(0.1))
+    hb.plot(arm, path, title=certificate).savefig("path.png")
+    density: hb.Density = arm.density()
+    fitted: hb.Fitted = hb.calibrate(arm, path.configurations, path.positions)
+    print(len(many), density.total, fitted.arm.name, version)
+    yield from hb.map(ik, points, workers=2)
+
+
+try:
+    arm.configuration([0, 1])
+except hb.ArmError as wrong:
+    print(wrong.faults, wrong.lines)
+except (hb.CalibrationError, hb.ConfigurationError, hb.GoalError, hb.LockError, hb.ObstacleError) as error:
+    print(error)
+except (hb.PathError, hb.StudyError, hb.Error) as error:
+    print(error)
+"""
+
+
+def test_each_public_name_has_its_type(tmp_path):
+    assert set(re.findall(r"\bhb\.(\w+)", PROGRAM)) == {*hb.__all__, "__version__"}
+    (tmp_path / "program.py").write_text(PROGRAM)
+    command = [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(tmp_path / "cache"), "program.py"]
+    settings = tmp_path / "mypy.ini"
+    settings.write_text(f"[mypy]\nmypy_path = {PACKAGE}\n[mypy-hyperbit.*]\nfollow_imports = silent\n")
+    done = subprocess.run([*command, "--config-file", str(settings)], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
