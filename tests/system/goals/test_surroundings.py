@@ -42,7 +42,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
 
     monkeypatch.setattr(time, "time", wall)
     monkeypatch.setattr(Loop.__init__, "__defaults__", (None, (time.monotonic, wall)))
-    monkeypatch.setattr(Warnings.__init__, "__defaults__", (wall, time.monotonic))
+    monkeypatch.setattr(Warnings.__init__, "__defaults__", (lambda: True, tuple, wall, time.monotonic, list))
 
     def put(seconds: float) -> None:
         ahead[0] = seconds
