@@ -27,9 +27,9 @@ PAPER = str(DEPLOY / "planar16.yaml")
 SERVING = {  # by command: its words, a text of its output once it serves
     "execute": ("execute {paper} --simulate --socket {folder} --journal {folder}/journal", "simulated in this process"),
     "panel": ("panel --listen 127.0.0.1:0 --connect {endpoint}", "hyperbit panel, viewer"),
-    "record": ("record a --folder {folder}/recordings --connect {endpoint}", "waiting for one"),
+    "record": ("record a --folder {folder}/recordings --connect {endpoint}", "nobody listens at"),
     "replay": ("replay {folder}/a.mcap --stay --listen {endpoint}", "replaying"),
-    "ros2": ("ros2 a --connect {endpoint}", "waiting for one"),
+    "ros2": ("ros2 a --connect {endpoint}", "nobody listens at"),
     "router": ("router --listen {endpoint}", "routing at"),
     "run": ("run {folder}/arm.yaml --simulate --listen {endpoint} --ledger {folder}/l.db", "serving the arm"),
     "simulate": ("simulate {folder}/arm.yaml", "faults to type"),

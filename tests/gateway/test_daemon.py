@@ -152,7 +152,7 @@ def test_a_second_daemon_on_the_same_ledger_or_executor_does_not_start(
     with connected(process) as (client, _, _):
         pid = process.process.pid
         second = Process(arm_file, "tcp/127.0.0.1:0", folder, process.ledger, "--socket", str(folder))
-        assert f"in use by another daemon, process {pid}" in second.failure()
+        assert f"{process.ledger} is in use by process {pid}" in second.failure()
         third = Process(arm_file, "tcp/127.0.0.1:0", folder, folder / "other.sqlite", "--simulate")
         assert "the executor ended with code" in third.failure()
         assert client.request("arm", timeout=PATIENCE)["daemon"]["pid"] == pid

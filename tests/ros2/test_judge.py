@@ -145,7 +145,7 @@ DEFECTS = {
     "a stop is answered before it is sent": Defect(
         [(Ending, "receive", _answer_at_once)], "(stop|cancel) is answered True, the daemon has not said so"
     ),
-    "a cancel is sent once": Defect([(ActionGoals, "_due_cancel", _send_cancels_once)], OWED),
+    "a cancel is sent once": Defect([(ActionGoals, "_due_cancel", _send_cancels_once)], OWED, seed=1),
     "a cancel is forgotten by a restart": Defect([(GoalBook, "put", _forget_cancels)], OWED, seed=2),
     "a cancel is given up with its client": Defect([(ActionGoals, "_end", _lose_debts)], OWED, seed=9, times=SOON),
     "a cancel is given up while its goal may come": Defect([(goals, "KNOWN_WITHIN", 0.0)], OWED),
@@ -162,7 +162,7 @@ DEFECTS = {
     "each goal succeeds": Defect([(goals, "ending", _always_succeed)], "has ended with status 4, and the daemon"),
     "canceled goals are aborted": Defect([(goals, "ending", _abort_canceled)], EARLY, seed=1),
     "each code is 0": Defect([(goals, "ending", _other_code)], r"is told to be Result\(status=., code=0, "),
-    "a result changes by a restart": Defect([(GoalBook, "put", _forget_sentences)], "has two results", seed=2),
+    "a result changes by a restart": Defect([(GoalBook, "put", _forget_sentences)], "has two results"),
     "an ended goal runs again after a restart": Defect(
         [(ActionServer, "restore", _restore_as_executing)], "has come from status [456] to [123]"
     ),

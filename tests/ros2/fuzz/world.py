@@ -228,9 +228,16 @@ class World:
         before, replies = counts.total(), list[bytes]()
         ask = self.judge.receive(given.name, given.payload, given.attachment)
         if ask.service:
-            life = self.network.life
-            handler(Query(given.payload, given.attachment, lambda data: self._on_reply(life, ask, replies, data)))
-            trial = None
+            life, delivering = self.network.life, True
+
+            def reply(data: bytes) -> None:
+                if delivering and counts.total() > before:  # a dropped request is declined
+                    replies.append(data)
+                else:
+                    self._on_reply(life, ask, replies, data)
+
+            handler(Query(given.payload, given.attachment, reply))
+            trial, delivering = None, False
         else:
             trial = self.trial = Trial(given)
             attachment = None if given.attachment is None else zenoh.ZBytes(given.attachment)

@@ -81,6 +81,7 @@ def test_outputs_beyond_the_first_64_switch_with_the_same_sync(count, read_only)
 )
 def test_another_device_than_the_arms_file_names_is_refused(named, words):
     world = World(FIVE, nodes=(NodeWiring("can0", 5, **named),))
+    world.boards.board("can0/5").objects.set_number(0x1018, int(words[10]), 1)
     world.boot()
     [fault] = world.master.boot_faults
     assert fault.code == "wrong-device"
