@@ -144,7 +144,8 @@ def tool_rates(module: Module, tip: Frame, fixed: Array, moving: NDArray[np.int6
     At a distance d from the frame, the tip moves by at most d times the rotation more than the frame.
     """
     move, turn, body = module.bounds(fixed, moving).T
-    there = move + turn * np.linalg.norm(tip[:3, 3])
+    length = float(np.linalg.norm(tip[:3, 3]))
+    there = move + turn * length if length > 0 else move  # a rotation without a bound moves no tip at its centre
     return np.column_stack([there, turn, np.maximum(body, there)])
 
 

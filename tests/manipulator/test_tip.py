@@ -44,6 +44,7 @@ def test_a_tool_stays_within_its_bounds_in_mid_travel(bare, tip, values, seed):
     assert_allclose(body, module.body, atol=1e-12)
     moving, fixed = np.arange(count), module.bits[0].astype(float)
     bounds = module.bounds(fixed, moving)
+    assert not np.isnan(bounds).any()
     if not np.isfinite(bounds).all():
         return
     first, second = np.array(values[:count]), np.random.default_rng(seed).random(count)
