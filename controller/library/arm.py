@@ -99,13 +99,11 @@ class Arm:
         self._reduced = arm.reduced if locked_states is None else lock_actuators(arm.manipulator, locked_states)
 
     def __repr__(self) -> str:
-        """Returns name, kind and size of the arm, and its locked actuators."""
         kind = "planar" if self.dimension == 2 else "spatial"
         locked = "".join(f", {label} {state}" for label, state in self.locked.items())
         return f"Arm({self.name!r}: {kind}, {len(self.states)} modules, {len(self.actuators)} actuators{locked})"
 
     def _repr_html_(self) -> str:
-        """Returns a picture of `home` for notebooks."""
         from hyperbit.controller.library.plot import html
 
         return html(repr(self), self)
@@ -228,10 +226,6 @@ class Arm:
         Raises:
             ConfigurationError: no configuration has these states.
         """
-        given = np.asarray(actuator_states)
-        if given.shape == (len(self.actuators),) and (wrong := np.flatnonzero((given != 0) & (given != 1))).size:
-            label, state = self.actuators[wrong[0]], given[wrong[0]]
-            raise ConfigurationError(f"an actuator's state is 0 or 1, got {state!r} of actuator {label}")
         try:
             return self._whole.configuration(actuator_states)
         except ValueError as error:
@@ -329,11 +323,7 @@ class Arm:
         return load_or_map(self._reduced, self._arm.pixel, self._arm.level_pixels, default_directory())
 
     def _to_reduced(self, configuration: ArrayLike | str) -> Configuration:
-        """Returns a configuration (B,) in the numbering of the reduced arm.
-
-        Raises:
-            ConfigurationError: the arm has no such configuration, or a locked actuator is in another state.
-        """
+        """Returns a configuration (B,) in the numbering of the reduced arm. Raises ConfigurationError if none."""
         whole = self.parse(configuration)
         try:
             return transferred(whole, self._whole, self._reduced)

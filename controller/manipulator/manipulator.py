@@ -94,6 +94,9 @@ class Manipulator:
         if states.shape != (len(self.actuators),):
             raise ValueError(f"the arm has {len(self.actuators)} actuator states, got an array of shape {states.shape}")
         result, start = list[int](), 0
+        if (wrong := np.flatnonzero((states != 0) & (states != 1))).size:
+            label = self.actuators[wrong[0]]
+            raise ValueError(f"an actuator's state is 0 or 1, got {states[wrong[0]]!r} of actuator {label}")
         whole = states.astype(np.int64).tobytes()
         for i, codes in enumerate(self._codes):
             end = start + len(self.modules[i].actuators)
