@@ -169,13 +169,16 @@ def test_what_a_cancel_raises_ends_all_threads():
 
 def test_without_memory_for_labels_what_is_proven_stays(monkeypatch):
     case = random_case(2, 1 << 13)
-    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start)
+    search, swept = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start), list[bool]()
 
     def fail(*_: object) -> None:
+        swept.append(True)
         raise MemoryError
 
     monkeypatch.setattr(search._to_go, "sweep", fail)
-    found = search.run(1.0)
+    monkeypatch.setattr(search, "prove", lambda: None)  # it would end the search before
+    found = search.run(LONG)
+    assert swept
     assert 0 < found.bound <= least_cost(case) * (1 + 1e-9)
 
 

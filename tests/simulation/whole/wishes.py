@@ -6,7 +6,6 @@ import math
 from random import Random
 from typing import TYPE_CHECKING, Any
 
-from hyperbit.controller.motion.decoding.goal import GoalMessage
 from hyperbit.controller.program import unpack
 from tests.simulation.judge.interface.locks import leaves_states
 from tests.simulation.whole.configurations import first_touched
@@ -14,7 +13,6 @@ from tests.simulation.whole.configurations import first_touched
 if TYPE_CHECKING:
     from tests.simulation.whole.daemon import Daemon
 
-HAS_BEGIN_WITHIN = "begin_within" in GoalMessage.__struct_fields__
 STATES = ("contracted", "extended")
 POSES = ("pick", "place", "a b", "P1")
 
@@ -51,7 +49,7 @@ class Wishes:
             message["tolerance"] = {**message.get("tolerance", {}), **chosen}
         if random.random() < 0.1:
             message["deadline"] = random.choice([0.1, 1.0, 5.0])
-        if HAS_BEGIN_WITHIN and random.random() < 0.2:
+        if random.random() < 0.2:
             message["begin_within"] = random.choice([0.2, 1.0, 5.0])
         return message
 
