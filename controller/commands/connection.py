@@ -47,7 +47,7 @@ def open_zenoh(config: zenoh.Config) -> zenoh.Session:
     from hyperbit.controller.network import reach
 
     zenoh.init_log_from_env_or(LOG)
-    for told in reach.ending_certificates(config):
+    for told in reach.ending(reach.certificates_of(config)):
         sys.stderr.write(f"Warning: {told}\n")
     try:
         return reach.open_session(config)

@@ -28,7 +28,7 @@ from hyperbit.controller.gateway.server import GatewayParts, Server
 from hyperbit.controller.host.journal import fields_of_fault
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.manipulator.notation import format_configuration
-from hyperbit.controller.network.reach import ending_certificates, open_session
+from hyperbit.controller.network.reach import certificates_of, ending, open_session
 from hyperbit.controller.network.session import lease, reachable
 from hyperbit.controller.planning.core.core import OPAQUE
 from hyperbit.controller.planning.core.events import Recorded
@@ -91,7 +91,8 @@ def running(
         outbox = Outbox(session, f"hyperbit/{name}", *hooks, lease(config))
         outbox.start()
         closing.callback(outbox.close)
-        warnings = Warnings(reachable(session, config), book.faults, certificates=partial(ending_certificates, config))
+        certificates = partial(ending, certificates_of(config))
+        warnings = Warnings(reachable(session, config), book.faults, certificates=certificates)
         services = Services(inbox, book, published, outbox, notifier, warnings.active, daemon.fail)
         label = Label("planner", name, digest, arm.path.read_text(encoding="utf-8") if arm.path is not None else "")
         constant = {"manipulator": arm.manipulator}

@@ -128,8 +128,9 @@ def refusing_peer(text: str, endpoint: Endpoint, tls: Mapping[str, Any], plain: 
             if tls.get("connect_certificate"):
                 context.load_cert_chain(tls["connect_certificate"], tls.get("connect_private_key"))
         for name in ("connect_certificate", "root_ca_certificate") if secured else ():
-            if (told := ending(tls.get(name))) is not None and " ended " in told:
-                return NoSession(Cause.TLS, told)
+            until = valid_until(tls.get(name))
+            if until is not None and until <= datetime.now(UTC):
+                return NoSession(Cause.TLS, ending({tls[name]: until})[0])
     except (OSError, TypeError, ValueError) as error:
         return NoSession(Cause.TLS, f"the certificates of the Zenoh file cannot be used: {error}")
     silent, spoken = f"no answer from {text}: a program listens there, and begins no session", False
@@ -176,23 +177,30 @@ def unusable_address(text: str, error: zenoh.ZError) -> NoSession:
     return NoSession(Cause.ADDRESS, f"cannot listen at {text}: {reason(error)}")
 
 
-def ending(file: str | None, now: datetime | None = None) -> str | None:
-    """Returns that a certificate has ended, or ends soon; None if it does not, or cannot be read."""
+def valid_until(file: str | None) -> datetime | None:
+    """Returns the end of a certificate; None if the file cannot be read."""
     try:
         pem = PEM.search(Path(file or "").read_text(encoding="ascii"))
         times = VALIDITY.search(base64.b64decode(pem[1] if pem else ""))
         text = times[1].decode() if times else ""
-        until = datetime.strptime(text, "%Y%m%d%H%M%S" if len(text) == 14 else "%y%m%d%H%M%S").replace(tzinfo=UTC)
+        return datetime.strptime(text, "%Y%m%d%H%M%S" if len(text) == 14 else "%y%m%d%H%M%S").replace(tzinfo=UTC)
     except (OSError, ValueError):
         return None
-    now = now or datetime.now(UTC)
-    if until - now > EARLY:
-        return None
-    verb, days = ("ended", "") if until <= now else ("ends", f", in {(until - now).days} days")
-    return f"certificate {file} {verb} on {until:%Y-%m-%d}{days}: renew it, see deploy/README.md, Certificates"
 
 
-def ending_certificates(config: zenoh.Config) -> list[str]:
-    """Returns a sentence for each certificate of a configuration that has ended, or ends soon."""
+def certificates_of(config: zenoh.Config) -> dict[str, datetime]:
+    """Returns the end of each certificate of a configuration, by file."""
     tls = json.loads(config.get_json(TLS))
-    return [told for name in CERTIFICATES if (told := ending(tls.get(name))) is not None]
+    ends = {str(tls[name]): valid_until(tls[name]) for name in CERTIFICATES if tls.get(name)}
+    return {file: until for file, until in ends.items() if until is not None}
+
+
+def ending(certificates: Mapping[str, datetime], now: datetime | None = None) -> list[str]:
+    """Returns a sentence for each certificate, of `certificates_of`, that has ended, or ends soon."""
+    now, found = now or datetime.now(UTC), list[str]()
+    for file, until in certificates.items():
+        if until - now <= EARLY:
+            verb, days = ("ended", "") if until <= now else ("ends", f", in {(until - now).days} days")
+            renew = "renew it, see deploy/README.md, Certificates"
+            found.append(f"certificate {file} {verb} on {until:%Y-%m-%d}{days}: {renew}")
+    return found

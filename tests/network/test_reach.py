@@ -17,7 +17,7 @@ import pytest
 import zenoh
 
 from hyperbit.controller.network import reach
-from hyperbit.controller.network.reach import Cause, NoSession, diagnosis, ending, open_session
+from hyperbit.controller.network.reach import Cause, NoSession, certificates_of, diagnosis, ending, open_session
 from hyperbit.controller.network.session import configuration, from_file
 from tests.endpoints import free_endpoint
 from tests.keys import made, openssl
@@ -168,12 +168,16 @@ def test_who_refuses_a_certificate_is_told(tmp_path: Path) -> None:
 def test_the_end_of_a_certificate_is_told_a_month_before(tmp_path: Path) -> None:
     file, _ = certificate(tmp_path, "a", 40)
     now = datetime.now(UTC)
-    assert ending(str(file), now) is None
-    soon = ending(str(file), now + timedelta(days=30, hours=12)) or ""
+    config = zenoh.Config()
+    names = {"connect_certificate": str(file), "listen_certificate": str(tmp_path / "missing.pem")}
+    config.insert_json5("transport/link/tls", json.dumps(names))
+    certificates = certificates_of(config)
+    assert ending(certificates, now) == []
+    (soon,) = ending(certificates, now + timedelta(days=30, hours=12))
     assert soon.startswith(f"certificate {file} ends on {now + timedelta(days=40):%Y-%m-%d}, in 9 days: renew it")
-    assert " ended on " in (ending(str(file), now + timedelta(days=41)) or "")
-    assert ending(None) is None
-    assert ending(str(tmp_path / "missing.pem")) is None
+    file.unlink()  # Zenoh has read it
+    (ended,) = ending(certificates, now + timedelta(days=41))
+    assert " ended on " in ended
 
 
 @pytest.mark.parametrize(
