@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tests.simulation.world import World
 
 KINDS = {
-    **{"executor stalls": 2.0, "executor is killed": 1.0, "executor is restarted": 0.5},
+    **{"executor stalls": 2.0, "executor is killed": 1.0, "executor is restarted": 1.0},
     **{"planner hangs": 1.0, "planner dies": 1.0},
     **{"bus is down": 0.6, "bus-off": 0.6, "bus is unacknowledged": 0.6, "queue is full": 1.0, "bus-passive": 0.5},
     **{"frames are lost": 0.4, "frames come twice": 0.5, "answers are late": 0.6, "strange frame": 1.0},
@@ -39,10 +39,10 @@ DAEMON_KINDS = {
         "searches fail": 0.8,
         "a search hangs": 0.02,
         "disk is full": 0.6,
-        "clock is set": 1.0,
+        "clock is set": 2.0,
         "clients read slowly": 0.5,
         "planner stands still": 0.4,
-        "network is lost": 0.8,
+        "network is lost": 1.6,
         "executor's socket is full": 1.5,
         "searches err": 2.0,
     },
@@ -110,11 +110,15 @@ class Trouble:
                 if world.daemon is not None:
                     world.daemon.judge.account.note("executor still", world.executor.awake_since)
             case "executor is killed":
+                if world.daemon is not None and random.random() < 0.5:
+                    world.daemon.clients.rush()
                 world.executor.kill_after(random.randint(0, 20))
             case "executor is restarted":
                 world.executor.quit()
             case "planner hangs":
-                world.planner.stall(random.choice([0.3, 0.9, 1.2, LONGEST_STALL]))
+                stall = partial(world.planner.stall, random.choice([0.3, 0.9, 1.2, LONGEST_STALL]))
+                delay = 0.0 if world.daemon is None else world.daemon.clients.hurry()
+                world.agenda.after(delay, stall)
             case "planner dies":
                 world.planner.die()
             case "bus is down":

@@ -132,7 +132,7 @@ def draw_kind(random: Random, channel: Channel, pulses: bool, whole: bool = Fals
 
 def draw_interlocks(random: Random, buses: list[str]) -> tuple[Interlock, ...]:
     """Returns an interlock on the first board, or on a board of its own, or none."""
-    if random.random() < 0.7:
+    if random.random() < 0.5:
         return ()
     node, inverted = random.choice([1, 9]), random.random() < 0.5
     return (Interlock("door", buses[node % len(buses)], node, 30, inverted),)

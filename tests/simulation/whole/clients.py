@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperbit.controller.program import unpack
+from tests.simulation.judge.interface.grounds import planned_from
 from tests.simulation.whole.wishes import STATES, Wishes
-from tests.simulation.whole.zenoh_model import Sent
+from tests.simulation.whole.zenoh_model import LATENCY, Sent
 
 if TYPE_CHECKING:
     from tests.simulation.whole.daemon import Daemon
@@ -40,6 +41,8 @@ BURSTS = (
     ("plan", "cancel goal"),
     ("plan", "plan", "cancel goal"),
     ("obstacles", "goal", "obstacles"),
+    ("obstacles", "plan", "stop"),
+    ("obstacles", "stop", "plan"),
 )
 NAMES = {"stop": ("hyperbit/*/stop", "**/hyperbit/*/stop"), "cancel": ("hyperbit/*/cancel",), "arm": ("hyperbit/**",)}
 DESCRIPTIONS = (
@@ -55,6 +58,7 @@ ATTENDED = 0.5  # share of the goals and jogs whose end the clients wait for
 ATTENDED_FOR = 2.0  # [s], longest
 AT_REST = {"stream": 8, "degrade": 3, "goal": 20, "any": 69}  # if the arm is ready
 OUT_OF_CONFIGURATION = {"degrade": 1, "jog": 2, "any": 4}  # if it is in no configuration
+HOMING = {"obstacles": 5, "goal": 5, "jog": 2, "any": 5}  # if the next goal homes an actuator
 WITHOUT_EXECUTOR = {"stop": 2, "cancel": 2, "reset": 1, "degrade": 1}
 RUSH = ("plan", "plan", "plan", "goal", "jog", "obstacles", "degrade", "reset", "arm")
 UNDISTURBED = 0.7  # share of the streams that nobody disturbs
@@ -149,7 +153,8 @@ class Clients:
             return "reset"
         act = "any"
         if mode == "ready":
-            act = self._one_of(OUT_OF_CONFIGURATION if "unknown-state" in codes else AT_REST)
+            homing = HOMING if "unknown-position" in codes else AT_REST
+            act = self._one_of(OUT_OF_CONFIGURATION if "unknown-state" in codes else homing)
         return self._one_of(ACTS) if act == "any" else act
 
     def _one_of(self, acts: dict[str, float]) -> str:
@@ -160,6 +165,14 @@ class Clients:
         for act in self._random.sample(RUSH, 5):
             self._client = self._random.randrange(CLIENTS)
             self._do(act)
+
+    def hurry(self) -> float:
+        """Sends a burst, perhaps; returns a time after which some of it has arrived [s]."""
+        if self.calm or self._random.random() < 0.5:
+            return 0.0
+        self._client = self._random.randrange(CLIENTS)
+        self._burst()
+        return self._random.uniform(0.0, 2 * LATENCY)
 
     def _wait(self) -> bool:
         """Returns whether the clients wait for the end of a stream, or of a motion that was not refused."""
@@ -312,9 +325,9 @@ class Clients:
             self.ask("cancel")
         elif state["mode"] == "ready" and free:
             self.ask("degrade", {"actuator": self._labels[(free & -free).bit_length() - 1], "state": None})
-        elif unpack(snapshot.measured) not in daemon.space.index and not waiting("jog"):
+        elif (start := planned_from(snapshot)) not in daemon.space.index and not waiting("jog"):
             locked = unpack(snapshot.locked)
             labels = [label for k, label in enumerate(self._labels) if not locked >> k & 1]
-            code = daemon.space.nearest(unpack(snapshot.measured), locked)
+            code = daemon.space.nearest(start, locked)
             states = {label: STATES[code >> self._labels.index(label) & 1] for label in labels}
             self.ask("jog", {"actuators": states})

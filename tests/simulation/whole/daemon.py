@@ -13,10 +13,11 @@ from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.motion.stages.pacing import pace_of
 from hyperbit.controller.planning.core.events import Payload, Record
-from hyperbit.controller.program import Counted, Diagnostics, Down, PlayableFaults, Snapshot, Up, unpack
+from hyperbit.controller.program import Counted, Diagnostics, Down, PlayableFaults, Snapshot, Up
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.judge.interface.facts import Request
+from tests.simulation.judge.interface.grounds import planned_from
 from tests.simulation.judge.interface.interface import InterfaceJudge
 from tests.simulation.judge.interface.results import unanswered
 from tests.simulation.network import Network
@@ -304,5 +305,5 @@ class Daemon:
         """Whether the planner says that the arm is ready, and everybody has an answer."""
         if self.state is None or self.state["mode"] != "ready" or self.snapshot is None or self.process is None:
             return False
-        known = unpack(self.snapshot.measured) in self.space.index
+        known = planned_from(self.snapshot) in self.space.index
         return known and not unanswered(self.judge.account) and not self.judge.account.cubes

@@ -112,11 +112,13 @@ class Wishes:
         return {label: self._random.choice(STATES) for label in self._random.sample(self._labels, count)}
 
     def lock(self) -> dict[str, Any]:
-        """Returns a lock; some leave a module without state."""
+        """Returns a lock; some leave a module without state, and no end-stop contradicts them."""
         random, snapshot = self._random, self._daemon.snapshot
         label, state = random.choice([*self._labels, self._labels[0], "9.9"]), random.choice([None, None, 0, 1])
         if snapshot is not None and random.random() < 0.3:
+            contradicted = unpack(snapshot.sensed) & unpack(snapshot.known)
             every = [(k, value) for k in range(len(self._labels)) for value in (0, 1)]
+            every = [(k, v) for k, v in every if not contradicted & (unpack(snapshot.measured) ^ v << k) >> k & 1]
             modules = self._daemon.judge.account.modules
             bad = [(self._labels[k], value) for k, value in every if not leaves_states(modules, snapshot, k, value)]
             label, state = random.choice(bad or [(label, state)])

@@ -61,10 +61,11 @@ def _not_known(a: InterfaceAccount, request: Request) -> bool:
 
 def _unknown_state(a: InterfaceAccount, request: Request) -> bool:
     """What is measured, or where the outputs are not measured commanded, is no configuration."""
-    return _any(a, request, lambda snapshot: _planned_from(snapshot) not in a.modules.tips)
+    return _any(a, request, lambda snapshot: planned_from(snapshot) not in a.modules.tips)
 
 
-def _planned_from(snapshot: Snapshot) -> int:
+def planned_from(snapshot: Snapshot) -> int:
+    """Returns the states from which the next goal is planned: unknown ones, and those in motion, as commanded."""
     sure = 0 if snapshot.moving else known(snapshot)
     return unpack(snapshot.measured) & sure | _commanded(snapshot) & ~sure
 

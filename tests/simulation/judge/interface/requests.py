@@ -38,6 +38,7 @@ STAMPED_WITHIN = 0.1  # [s] from the check of a stamp to the acceptance by the e
 UNCHECKED = r"(?:; collisions of the homing were not checked, because it is not known where (.*) (?:is|are))?"
 WORDS = re.compile(rf"accepted, (\d+) waypoints?, (\d+) switch(?:es)? planned{UNCHECKED}")
 JOG_WORDS = re.compile(r"accepted, (\d+) switch(?:es)?: .*")
+ENDED_BY_CANCEL = {"canceled before it began": ("goal", "jog"), "the plan is canceled": ("plan",)}
 OBSTACLES = re.compile(r"(\d+) obstacles?, (\d+) of them sent.*", re.DOTALL)
 
 
@@ -217,6 +218,10 @@ class Requests:
             runs = [r for r in runs if r.request is not None and r.at < request.at]
             runs = [r for r in runs if r.instance == a.instance and not r.results and self._shown(r)]
             require(not (not_running and runs), f"{text}, but it runs")
+            kinds = ENDED_BY_CANCEL.get(answer["message"], ())
+            waited = [r for r in a.requests if r.key in kinds and r.goal == request.goal and r.number < request.number]
+            waited = [r for r in waited if r.answer is None or r.answered_at >= request.at]
+            require(waited or not kinds, f"{text}, but none waited")
 
         def ended() -> None:
             for ran in a.programs.values():

@@ -7,6 +7,7 @@ import math
 from hyperbit.controller.program import Snapshot, unpack
 from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
 from tests.simulation.judge.interface.facts import Heard, Payload, Ran
+from tests.simulation.judge.interface.grounds import planned_from
 from tests.simulation.judge.interface.modules import Cube, turn
 from tests.simulation.judge.interface.words import Words
 from tests.simulation.judge.verdict import require
@@ -121,7 +122,7 @@ class States:
         codes = {fault[0] for fault in told}
         everything = (1 << len(a.modules.labels)) - 1
         surely = unpack(snapshot.known) | unpack(snapshot.homing) == everything
-        odd = self._planned_from(snapshot) not in a.modules.tips
+        odd = planned_from(snapshot) not in a.modules.tips
         if ("unknown-state" in codes) != (surely and odd and not snapshot.moving):
             return f"unknown-state: {unpack(snapshot.measured):b} is {'no' if odd else 'a'} configuration"
         if "executor-lost" in codes:
@@ -143,12 +144,6 @@ class States:
         if payload["degraded"] != listed or told != [entry["actuator"] for entry in listed]:
             return f"locked are {listed}"
         return ""
-
-    def _planned_from(self, snapshot: Snapshot) -> int:
-        known = unpack(snapshot.known)
-        held = unpack(snapshot.locked) & known
-        outputs = unpack(snapshot.measured) & held | unpack(snapshot.outputs) & ~held
-        return unpack(snapshot.measured) & known | outputs & ~known
 
     def _judge_goal(self, payload: Payload) -> None:
         """Judges goal, waypoint and target."""
