@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from tests.simulation.whole.daemon import Daemon
 
 ACTS = {
-    **{"goal": 40, "jog": 10, "plan": 6, "cancel": 3, "cancel goal": 4, "stop": 1.5, "reset": 3, "degrade": 3},
+    **{"goal": 40, "jog": 10, "plan": 6, "cancel": 3, "cancel goal": 4, "stop": 0.5, "reset": 2, "degrade": 3},
     **{"obstacles": 6, "arm": 2, "stream": 6, "tip": 10, "garbage": 2, "repeat": 6, "many goals": 0.5, "wait": 10},
     **{"poses": 2.0, "again": 1.0, "flood": 0.15, "crowd": 0.4, "many arms": 0.03},
-    **{"burst": 8, "result": 3, "vanish": 1, "same id": 1.5, "many plans": 0.3, "fault": 2.0},
+    **{"burst": 3, "result": 3, "vanish": 1, "same id": 1.5, "many plans": 0.3, "fault": 2.0},
 }
 ASIDE = {"arm": 4, "plan": 3, "poses": 2, "result": 2, "tip": 5, "garbage": 1}  # while the clients wait for a motion
 BURSTS = (
@@ -56,7 +56,7 @@ DESCRIPTIONS = (
 CLIENTS = 4  # the last one attaches the same bytes to each of its requests
 ATTENDED = 0.5  # share of the goals and jogs whose end the clients wait for
 ATTENDED_FOR = 2.0  # [s], longest
-AT_REST = {"stream": 8, "degrade": 3, "goal": 20, "any": 69}  # if the arm is ready
+AT_REST = {"stream": 8, "degrade": 6, "goal": 20, "any": 66}  # if the arm is ready
 OUT_OF_CONFIGURATION = {"degrade": 1, "jog": 2, "any": 4}  # if it is in no configuration
 HOMING = {"obstacles": 5, "goal": 5, "jog": 2, "any": 5}  # if the next goal homes an actuator
 WITHOUT_EXECUTOR = {"stop": 2, "cancel": 2, "reset": 1, "degrade": 1}
@@ -87,7 +87,7 @@ class Clients:
         self._goals = deque[Sent](maxlen=40)
         self._streams_until = self._alone_until = 0.0
         self._attended: Sent | None = None  # goal or jog for whose end the clients wait
-        self._rate = random.choice([5.0, 20.0, 40.0])
+        self._rate = random.choice([10.0, 20.0, 40.0])
         self._crowd = random.choice([0.0, 0.4, 0.8])  # share of the motions to which obstacles come
         self._agenda.after(1.0, self._act)
 
@@ -144,12 +144,13 @@ class Clients:
     def _draw(self) -> str:
         random, state = self._random, self._daemon.state
         mode = "" if state is None else state["mode"]
-        if self._wait():
+        halted = mode in ("fault", "stopped")
+        if not halted and self._wait():
             return self._one_of(ASIDE)
         codes = set() if state is None else {fault["code"] for fault in state["faults"]}
         if "executor-lost" in codes and random.random() < 0.3:
             return self._one_of(WITHOUT_EXECUTOR)
-        if mode in ("fault", "stopped") and random.random() < 0.3:
+        if halted and random.random() < 0.3:
             return "reset"
         act = "any"
         if mode == "ready":

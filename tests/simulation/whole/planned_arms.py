@@ -18,6 +18,7 @@ from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.manipulator.module import Module, binary_code, lines
 
 TOLERANCE = 0.001
+NEVER = 0.3  # share of the modules without some states whose last actuator never extends
 
 
 def draw_planned_arm(random: Random, drawn: ExecutedArm) -> tuple[ExecutedArm, Arm]:
@@ -43,12 +44,13 @@ def draw_planned_arm(random: Random, drawn: ExecutedArm) -> tuple[ExecutedArm, A
 
 
 def draw_module(random: Random, count: int) -> Module:
-    """Returns a module with a configuration for most of the codes of its actuators, for 0 at least."""
+    """Returns a module with a configuration for some codes of its actuators, for 0 at least."""
     codes = binary_code(1 << count)
     if count > 1 and random.random() < 0.5:
         most = len(codes) // 2 if random.random() < 0.3 else 1
         left_out = random.sample(range(1, len(codes)), random.randint(1, most))
         fewer = np.delete(codes, left_out, axis=0)
+        fewer = codes[codes[:, -1] == 0] if random.random() < NEVER else fewer
         codes = fewer if connected(fewer) else codes
     frames = [
         planar(random.uniform(0.2, 1.0), random.uniform(-0.5, 0.5), random.uniform(-0.8, 0.8))

@@ -120,7 +120,8 @@ def _too_late_to_begin(a: InterfaceAccount, request: Request) -> bool:
     planned = request.body.get("deadline")
     over = waited >= patience(request) - EXACT or (planned is not None and waited >= float(planned) - EXACT)
     sent = a.sent_since(request)
-    return over or (sent < request.at - 0.1 and a.now - sent >= patience(request) - 0.5)
+    over = over or (sent < request.at - 0.1 and a.now - sent >= patience(request) - 0.5)
+    return over and _mode("ready", "executing")(a, request)
 
 
 def _moved(a: InterfaceAccount, request: Request) -> bool:

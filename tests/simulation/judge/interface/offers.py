@@ -142,6 +142,8 @@ class Offers:
         waits = max(self._ready(program) - a.now, 0.0)
         wanted_delay = 0.0 if stamp else max(count * a.lead + waits - times[0], 0.0)
         calm = a.clear() and not a.slow and not a.lately("still", 0.5) and not a.had("link", a.now - 5.0)
+        made = a.made.get(program.program)
+        calm &= made is None or made.snapshot is None or made.snapshot.outputs == program.start  # else: an older one
         exact = abs(delays[0] - wanted_delay) < MADE_WITHIN or not calm
         require(exact, f"{text} is {delays[0]:g} s late, not {wanted_delay:g} s")
         self._judge_stages(program.stages, text)
