@@ -226,6 +226,7 @@ def test_a_lack_is_told_and_what_an_eds_does_not_tell_is_none(tmp_path, name):
     assert kind == ("lacks" if name in LACKS else "open"), text
     assert words in text
 
+
 def test_an_absent_device_type_is_one_lack(tmp_path):
     kind, text, _ = verdict(tmp_path, drop("1000")(TEXT))
     assert kind == "lacks"
