@@ -185,7 +185,7 @@ class FaultKinds:
         channel, at = world.arm.wiring.channels[k], boards.positions() >> k & 1
         label, board = channel.actuator, f"{channel.bus}/{channel.node}"
         bus: BusModel = world.buses[channel.bus]
-        late = max(world.kinds.travel[k]) + world.kinds.margin[k] + world.arm.rest + 2 * ASKED
+        late = max(world.kinds.travel[k]) + world.kinds.margin[k] + world.arm.rest + ASKED
 
         def stick() -> None:
             boards.fault("stick", label, at)

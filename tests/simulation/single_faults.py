@@ -34,6 +34,14 @@ VOLLEYS = 3  # of the kinds
 RARE = {  # kinds that few arms permit
     *("door is opened", "wires are shorted", "actuator misses commands", "bus is down as a pulse begins"),
     *("another bus is down while a pulse ends", "another bus is stuck while a pulse ends"),
+    *("nobody answers during a pulse", "a board loses the end of a pulse", "a board is unplugged while it gets a pulse"),
+}
+OF_BOARDS = {  # kinds that worlds with boards alone judge, too: they come last
+    *("bus is down", "bus-off", "bus is unacknowledged", "queue is full", "bus-passive", "overruns", "overrun"),
+    *("frames come twice", "answers are late", "emergency", "emergencies in a storm", "journal is not written"),
+    *("foreign START", "foreign SYNC", "foreign heartbeat", "foreign RPDO", "short TPDO", "another program writes"),
+    *("two boards have one node id", "error without an emergency", "outputs cannot be read", "TPDO is lost"),
+    *("executor stalls for a moment", "another configuration", "a refused board"),
 }
 GOLDEN = 0.618034  # successive seeds begin at places that are evenly spread over the kinds
 OWED = 4.2  # [s] for which lost answers may still come, and reads take so long that pulses may be over before
@@ -87,7 +95,7 @@ class SingleFaults:
     def _turn(self, name: str) -> tuple[int, float]:
         """Returns how often a kind came in this world, and its place among the kinds that came as often."""
         place = (crc32(name.encode()) / 2**32 + self._seed * GOLDEN) % 1.0
-        return self._made[name], place / 3 if name in self._rare else place
+        return self._made[name], place / 3 if name in self._rare else place + (name in OF_BOARDS) / 2
 
     def _others(self, planner: ScriptedPlanner) -> dict[str, Callable[[], None]]:
         """Returns what ends a process, and what has no fault of its own."""
@@ -208,7 +216,7 @@ class SingleFaults:
                 planner.die()
             world.pass_time(self._random.uniform(0.0, 0.5))
         else:
-            planner.stall(timeout * self._random.choice([0.7, 1.2, 2.0]))
+            planner.stall(timeout * self._random.choice([0.7, 1.2, 1.2, 2.0]))
         world.wait(lambda: planner.awake, "awake", 3.0 * timeout)
         world.pass_time(0.3)
         world.wait(world.settled, "ready", world.ready_within)
