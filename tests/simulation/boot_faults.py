@@ -63,12 +63,12 @@ class BootFaults:
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
 
-    def happen(self) -> None:
-        """Kills the executor, changes one board, and judges the boot."""
+    def happen(self, refused: bool) -> None:
+        """Kills the executor, changes one board, and judges the boot; `refused`: which refuses the board."""
         world, random = self._world, self._random
         name = random.choice(list(world.boards.simulated.names))
         board = world.boards.simulated.board(name)
-        objects, variant, refused = board.objects, board.variant, random.random() < 0.5
+        objects, variant = board.objects, board.variant
         kept = objects._variant, objects._described, dict(objects.refused)
         world.judge.disturb()
         found: list[Values] = []
@@ -89,7 +89,7 @@ class BootFaults:
         world.executor.at_next_start(change)
         instance = world.executor.instances
         world.trouble.made["only: a refused board" if refused else "only: another configuration"] += 1
-        world.note(f"only fault: {name} is changed before the boot")
+        world.note(f"{name} is changed before the boot")
         world.executor.kill()
         world.wait(lambda: world.executor.instances > instance, "started again", RESTARTED)
         if expected:

@@ -31,19 +31,19 @@ WAYS = {"clear": "answers", "touched": "finds an obstacle", "silent": "is silent
 
 
 class FaultKinds:
-    """Draws a fault for the arm as it stands."""
+    """Makes faults for the arm as it stands."""
 
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
         self._boards, self._pulses = BoardFaults(world, random), PulseFaults(world, random)
 
-    def draw(self) -> tuple[str, Fault]:
+    def possible(self) -> dict[str, Fault]:
+        """Returns the faults that the arm permits now, each of a drawn part."""
         makers = [self._of_bus, self._of_board, self._of_frames, self._of_actuator, self._of_motion, self._of_executor]
-        makers += [self._of_running_boards] * 2 + [self._of_motion] * 2 + [self._pulses.draw] * 20
-        while True:
-            made = self._random.choice(makers)()
-            if made:
-                return self._random.choice(list(made.items()))
+        made: dict[str, Fault] = {}
+        for maker in [*makers, self._of_running_boards, self._pulses.draw]:
+            made |= maker()
+        return made
 
     def _of_running_boards(self) -> dict[str, Fault]:
         return {name: Fault(*made) for name, made in self._boards.draw().items()}
@@ -185,7 +185,7 @@ class FaultKinds:
         channel, at = world.arm.wiring.channels[k], boards.positions() >> k & 1
         label, board = channel.actuator, f"{channel.bus}/{channel.node}"
         bus: BusModel = world.buses[channel.bus]
-        late = max(world.kinds.travel[k]) + world.kinds.margin[k] + world.arm.rest + 2 * ASKED
+        late = max(world.kinds.travel[k]) + world.kinds.margin[k] + world.arm.rest + ASKED
 
         def stick() -> None:
             boards.fault("stick", label, at)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
 from random import Random
 from typing import TYPE_CHECKING
+from zlib import crc32
 
+from hyperbit.controller.program import unpack
 from tests.simulation.boot_faults import BootFaults
 from tests.simulation.fault_kinds import FaultKinds
 from tests.simulation.judge.arm import bits_of
@@ -20,24 +25,43 @@ if TYPE_CHECKING:
 
 NOTHING = 0.8  # [s] for which it is watched that nothing is told
 SUPERVISED = 0.6  # [s] until the last motion is supervised, and all outputs are read back after a pulse
+ASKED = 0.2  # [s] beside the settle margin until an actuator at rest is supervised, and its board was asked
 KEPT = 1.2  # [s] for which a fault must wait for its reset; faults that clear are tried once a second
 LONG = 2.2  # [s] for which a fault may last, so that two attempts to leave it fail
 ANSWERED = 0.1  # [s] until a reset is answered
 HOMED = 0.7  # share of the faults before which a program homes the arm
-VOLLEYS = 0.45  # share of the volleys, where neither executor nor planner ends
+VOLLEYS = 3  # of the kinds
+RARE = {  # kinds that few arms permit
+    *("door is opened", "wires are shorted", "actuator misses commands", "bus is down as a pulse begins"),
+    *("another bus is down while a pulse ends", "another bus is stuck while a pulse ends"),
+    *("nobody answers during a pulse", "a board loses the end of a pulse", "a board is unplugged while it gets a pulse"),
+}
+OF_BOARDS = {  # kinds that worlds with boards alone judge, too: they come last
+    *("bus is down", "bus-off", "bus is unacknowledged", "queue is full", "bus-passive", "overruns", "overrun"),
+    *("frames come twice", "answers are late", "emergency", "emergencies in a storm", "journal is not written"),
+    *("foreign START", "foreign SYNC", "foreign heartbeat", "foreign RPDO", "short TPDO", "another program writes"),
+    *("two boards have one node id", "error without an emergency", "outputs cannot be read", "TPDO is lost"),
+    *("executor stalls for a moment", "another configuration", "a refused board"),
+}
+GOLDEN = 0.618034  # successive seeds begin at places that are evenly spread over the kinds
 OWED = 4.2  # [s] for which lost answers may still come, and reads take so long that pulses may be over before
 RESTARTED = 15.0  # [s] until an executor that was ended has contracted the arm, and the next one is ready
 
 
 class SingleFaults:
-    """Draws single faults, and judges what the executor tells of them."""
+    """Chooses single faults, and judges what the executor tells of them.
 
-    def __init__(self, world: World, random: Random) -> None:
-        self._world, self._random = world, random
+    All kinds that the arm permits come in turn. Each seed begins at another one, so that few seeds have all kinds.
+    """
+
+    def __init__(self, world: World, random: Random, seed: int) -> None:
+        self._world, self._random, self._seed = world, random, seed
         self._kinds, self._boots = FaultKinds(world, random), BootFaults(world, random)
         self._volleys = Volleys(world, random)
-        self._often = 0.3 if world.arm.contract_on_stop else 0.1  # the executor ends
-        self._rare = 0.5 if world.kinds.pulse else 1.0  # so that there is time for faults of pulses
+        self._made: Counter[str] = Counter()
+        told = world.judge.arm
+        self._rare = RARE | ({"executor ends with a lock"} if world.arm.contract_on_stop else set())
+        self._rare |= {"executor is killed at a frame"} if told.paired & ~told.sensed else set()
 
     def happen(self) -> None:
         """Causes one fault, mends it, and brings the arm back.
@@ -52,28 +76,41 @@ class SingleFaults:
         self._rest()
         if world.judge.account.homing and self._random.random() < HOMED:
             self._home(planner)
-        drawn = self._random.random()
-        if drawn < self._often:
-            self._end_executor(planner)
-        elif drawn < self._often + 0.1 * self._rare:
-            self._lose_planner(planner)
-        elif drawn < self._often + 0.15 * self._rare:
-            self._interrupt(planner)
-        elif drawn < self._often + 0.2 * self._rare:
-            self._boots.happen()
-        elif self._random.random() < VOLLEYS:
-            self._volleys.happen()
+        faults, others = self._kinds.possible(), self._others(planner)
+        name = min([*faults, *others], key=self._turn)
+        self._made[name] += 1
+        world.note(f"only fault: {name}")
+        if name in others:
+            others[name]()
         else:
             world.judge.disturb()
-            name, fault = self._kinds.draw()
             world.trouble.made[f"only: {name}"] += 1
-            world.note(f"only fault: {name}")
-            self._judge(name, fault, planner)
+            self._judge(name, faults[name], planner)
             if any(not world.judge.arm.sensed >> k & 1 for k in world.kinds.pulse):
                 world.pass_time(OWED)
         planner.patient = False
         if not world.record.suspect and not world.judge.account.clear:
             world.judge.quiet_from(world.agenda.now)
+
+    def _turn(self, name: str) -> tuple[int, float]:
+        """Returns how often a kind came in this world, and its place among the kinds that came as often."""
+        place = (crc32(name.encode()) / 2**32 + self._seed * GOLDEN) % 1.0
+        return self._made[name], place / 3 if name in self._rare else place + (name in OF_BOARDS) / 2
+
+    def _others(self, planner: ScriptedPlanner) -> dict[str, Callable[[], None]]:
+        """Returns what ends a process, and what has no fault of its own."""
+        made: dict[str, Callable[[], None]] = {
+            "executor ends": partial(self._end_executor, planner, True, False),
+            "executor ends with a lock": partial(self._end_executor, planner, True, True),
+            "executor is killed": partial(self._end_executor, planner, False, False),
+            "executor is killed at a frame": partial(self._end_executor, planner, False, True),
+            "planner dies": partial(self._lose_planner, planner, True),
+            "planner stands still": partial(self._lose_planner, planner, False),
+            "interrupted": partial(self._interrupt, planner),
+            "another configuration": partial(self._boots.happen, False),
+            "a refused board": partial(self._boots.happen, True),
+        }
+        return made | {f"volley {k}": self._volleys.happen for k in range(VOLLEYS)}
 
     def _home(self, planner: ScriptedPlanner) -> None:
         """Homes all actuators of unknown state by a program that switches one actuator."""
@@ -88,18 +125,20 @@ class SingleFaults:
         world = self._world
         world.wait(world.settled, "ready", world.ready_within)
         world.wait(lambda: not world.boards.coils() & world.kinds.pulsed, "without pulses", world.ready_within)
-        world.pass_time(SUPERVISED)
+        world.wait(lambda: not unpack(world.planner.snapshot.unread), "read back", world.ready_within)
+        world.pass_time(ASKED + max(world.kinds.margin))
 
-    def _end_executor(self, planner: ScriptedPlanner) -> None:
-        """Ends the executor, in order or by a kill; the judge goes on to judge each fact exactly."""
+    def _end_executor(self, planner: ScriptedPlanner, in_order: bool, special: bool) -> None:
+        """Ends the executor, in order or by a kill; the judge goes on to judge each fact exactly.
+
+        `special`: with a locked actuator, or at a frame.
+        """
         world = self._world
-        in_order = self._random.random() < 0.7
         world.trouble.made["only: executor ends" if in_order else "only: executor is killed"] += 1
-        world.note("only fault: the executor ends")
-        if self._random.random() < (0.6 if world.arm.contract_on_stop else 0.3):
+        if in_order and special:
             self._lock(planner)
         instance = world.executor.instances
-        if not in_order and self._random.random() < 0.6:
+        if not in_order and special:
             self._kill_at_rpdo(planner)
         elif self._random.random() < 0.7:
             planner.ask_for_motion()
@@ -163,15 +202,13 @@ class SingleFaults:
         at_next(lambda: None)
         world.wait(world.settled, "ready", world.ready_within)
 
-    def _lose_planner(self, planner: ScriptedPlanner) -> None:
+    def _lose_planner(self, planner: ScriptedPlanner, dies: bool) -> None:
         """Makes the planner die or stand still while a program may run; the judge still judges each fact exactly."""
         world, timeout = self._world, self._world.arm.planner_timeout
         if self._random.random() < 0.7:
             planner.ask_for_motion()
             world.pass_time(self._random.uniform(0.0, 0.3))
-        dies = self._random.random() < 0.4
         world.trouble.made["only: planner dies" if dies else "only: planner stands still"] += 1
-        world.note("only fault: the planner dies or stands still")
         if dies:
             planner.die()
             if self._random.random() < 0.5:  # the next one dies before it acknowledges anything
@@ -179,7 +216,7 @@ class SingleFaults:
                 planner.die()
             world.pass_time(self._random.uniform(0.0, 0.5))
         else:
-            planner.stall(timeout * self._random.choice([0.7, 1.2, 2.0]))
+            planner.stall(timeout * self._random.choice([0.7, 1.2, 1.2, 2.0]))
         world.wait(lambda: planner.awake, "awake", 3.0 * timeout)
         world.pass_time(0.3)
         world.wait(world.settled, "ready", world.ready_within)

@@ -34,7 +34,7 @@ from tests.simulation.single_faults import SingleFaults
 from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.planned_arms import draw_planned_arm
 
-SINGLE_FAULTS = 7  # in each round of a world with a scripted planner
+SINGLE_FAULTS = 10  # in each round of a world with a scripted planner
 TROUBLED = 0.35  # share of these rounds that have a time with many faults
 FILES = 0.9  # share of the arms that are written to a file and read
 PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all trouble; late SDO answers take long
@@ -110,7 +110,7 @@ class World:
         levels = arm.wiring.loss_levels[len(arm.actuators) :]
         self.let_go = sum(1 << k for k, level in zip(arm.wiring.paired, levels, strict=True) if level == 1)
         self.trouble = Trouble(self, drawn("trouble"))
-        self.single_faults = SingleFaults(self, drawn("single faults"))
+        self.single_faults = SingleFaults(self, drawn("single faults"), seed)
         self._random = drawn("periods")
         self._counts: list[int] = []
         self._memory = Memory()
@@ -127,7 +127,7 @@ class World:
                     self.single_faults.happen()
             self.planner.be_calm(False)
             self._let_strangers_stop(True)
-            self.pass_time(self._random.uniform(1.0, 4.0))
+            self.pass_time(self._random.uniform(1.0, 4.0 if self.daemon is not None else 2.5))
             if self.daemon is not None or self._random.random() < TROUBLED:
                 self.judge.disturb()
                 self.trouble.begin()

@@ -18,7 +18,8 @@ class Actuation:
 
     `tick` switches a pulsed output off when its pulse ends, in every mode. The state of an actuator with two outputs is
     uncertain while both outputs are off and the last one that was on is unknown. This happens after a start of the
-    executor, after a restart of the board, and after a pulse that was over before it was read back.
+    executor, after a restart of the board, and after a pulse that was over before it was read back. After a boot it is
+    uncertain if nobody reads the board back (`verify: false`) and a pulse came since the boot before.
     """
 
     def __init__(self, master: Master, arm: ExecutedArm, kinds: Kinds, journal: SwitchJournal) -> None:
@@ -40,6 +41,7 @@ class Actuation:
         self.told = 0  # mask of the actuators reported as overdue
         self._adopted_at = -math.inf
         self._doubtful = 0  # mask of the paired actuators that the running commit energises
+        self._trusted = 0  # mask of the actuators that had a pulse since the last boot, which nobody read back
         self._given_up = False  # the running commit is not wanted any more
         self._boots: tuple[int, ...] = ()  # boot count of each board when the outputs were adopted
 
@@ -147,6 +149,7 @@ class Actuation:
         for k in indices(energised & self._kinds.pulsed):
             self._pulse_ends[k] = now + self._kinds.pulse[k]
             self._watched |= 1 << k
+        self._trusted |= energised & self._kinds.pulsed & self._kinds.trusted
         self.uncertain &= ~energised
         self.missed &= ~energised
         self._doubtful &= ~energised
@@ -183,11 +186,12 @@ class Actuation:
         self.missed = 0
         extending, contracting = self._kinds.on(self._master.outputs)
         told = extending ^ contracting
-        self.uncertain = (self.uncertain | self._find_rebooted() | self._doubtful | (extending & contracting)) & ~told
+        self.uncertain |= self._find_rebooted() | self._doubtful | self._trusted | (extending & contracting)
+        self.uncertain &= ~told
         resting = definite & self._kinds.paired & ~told
         self._states = merged(resting, measured, self.states)
         self.uncertain &= ~resting
-        self._doubtful = 0
+        self._doubtful = self._trusted = 0
         states, first = self.states, self._adopted is None
         self.switches += self._journal.resolve(states, self.uncertain).bit_count()
         self._record_moved(self._kinds.everything if first else (self._adopted or 0) ^ states, now)

@@ -67,6 +67,9 @@ class EdsBoard:
                 self._values[place] = written
             elif blamed != place:
                 told = blamed[0] not in self._eds.of_modules
+            elif abort == _TOO_HIGH and transfer.index == 0x1016:  # a limit below all node ids is a mistake
+                entry = self._eds.find(*place)
+                told = entry is None or (entry.high or 0) >> 16 > 0
         self.asked.append(EdsTransfer(*place, written, abort, blamed, told))
         return SdoOutcome(data=data) if abort is None else SdoOutcome(abort=abort)
 
@@ -101,9 +104,11 @@ class EdsBoard:
         """Returns the value after power-on. Where the EDS lacks it: the number of entries, or 0."""
         if (value := self._eds.value(index, sub)) is not None:
             return value
+        if index == 0x1000:
+            return _ANY_DEVICE
         if sub == 0 and index in self._absent and not is_mapping(index):
             return _ALL_PARTS
-        return _ANY_DEVICE if index == 0x1000 else self._eds.subs(index) * (sub == 0 and not is_mapping(index))
+        return self._eds.subs(index) * (sub == 0 and not is_mapping(index))
 
     def _writing(self, index: int, sub: int, value: int, size: int) -> tuple[int | None, tuple[int, int]]:
         """Returns the abort code of a write, and the entry that decides it."""

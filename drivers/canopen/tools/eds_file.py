@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 _MOST_BYTES = 64 << 20
 _OBJECT = re.compile(r"(?:0x)?([0-9a-f]{1,4})(?:sub(?:0x)?([0-9a-f]{1,3}))?")
-_MODULE = re.compile(r"m\d+(?:subext|fixedobj)([0-9a-f]{4})(?:sub[0-9a-f]+)?")
+_MODULE = re.compile(r"m\d+(?:subext|fixed(?:obj)?)([0-9a-f]{4})(?:sub[0-9a-f]+)?")
+_MODULE_LIST = re.compile(r"m\d+(?:subextends|fixedobjects)")
 _COMMENT = re.compile(r"\s*(?:[;#]|//).*")
 _NUMBER = re.compile(r"-?(?:0x[0-9a-f]+|[0-9]+)")
 _OCTAL = re.compile(r"-?0[0-7]+")
@@ -79,8 +80,10 @@ def _parse(text: str) -> EdsFile:
             notes.append(
                 f"line {number}, [{title}]: {_short(line)} is skipped, for line {first.line} has this key, too"
             )
-    modules = frozenset(int(found[1], 16) for found in map(_MODULE.fullmatch, others) if found)
-    return EdsFile(objects, others, modules, notes)
+    modules = {int(found[1], 16) for found in map(_MODULE.fullmatch, others) if found}
+    lists = [section for name, section in others.items() if _MODULE_LIST.fullmatch(name)]
+    listed = (parse_number(key.text, 0) for section in lists for name, key in section.items() if name.isdecimal())
+    return EdsFile(objects, others, frozenset(modules.union(index for index in listed if index)), notes)
 
 
 def _section(name: str, objects: dict[int, dict[int | None, Section]], others: dict[str, Section]) -> Section:

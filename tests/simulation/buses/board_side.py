@@ -13,6 +13,7 @@ from tests.simulation.buses.boards import AttachedBoards
 from tests.simulation.buses.bus_model import OnItsWay
 from tests.simulation.facts import Energised, Switch
 from tests.simulation.judge.account import Commit
+from tests.simulation.judge.arm import merged
 from tests.simulation.judge.judge import Judge
 from tests.simulation.record import Record
 
@@ -92,9 +93,14 @@ class BoardSide(AttachedBoards):
     def _valves(self) -> int:
         return sum(drive << k for k, drive in enumerate(self.simulated.drives()))
 
-    def _driven(self, coils: list[tuple[int, int]]) -> int:
-        """Returns the ends to which the actuators are driven; with two coils, by the last coil that was on."""
+    def _driven(self, coils: list[tuple[int, int]], cause: str) -> int:
+        """Returns the ends to which the actuators are driven; with two coils, by the last coil that was on.
+
+        A pulse that a fault has cut short may have switched no valve.
+        """
         before, after = self._drives, self._valves() & ~self._paired
+        if cause == "fault":
+            before = merged(self._coils, self._valves(), before)
         for k, (on, off) in enumerate(coils):
             if self._paired >> k & 1:
                 after |= (on if on != off else before >> k & 1) << k
@@ -182,7 +188,7 @@ class BoardSide(AttachedBoards):
             return
         commit = belongs_to if isinstance(belongs_to, Commit) else None
         coils = self.simulated.coils()
-        after = self._driven(coils)
+        after = self._driven(coils, cause)
         on = sum(1 << k for k, pair in enumerate(coils) if self._paired >> k & 1 and any(pair))
         came, self._coils = on & ~self._coils | on & (after ^ self._drives), on
         changed, self._drives = after ^ self._drives, after

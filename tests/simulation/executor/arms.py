@@ -66,7 +66,7 @@ def draw_arm(random: Random, whole: bool = False) -> ExecutedArm:
     if random.random() < often:
         pulses = random.random() < often
         channels = [draw_kind(random, channel, pulses, whole) for channel in channels]
-    interlocks = draw_interlocks(random, [bus.name for bus in buses])
+    interlocks = draw_interlocks(random, [bus.name for bus in buses], 0.3 if whole else 0.6)
     used = {channel.bus for channel in channels} | {lock.bus for lock in interlocks}
     count = len(channels)
     wiring = Wiring(
@@ -130,9 +130,9 @@ def draw_kind(random: Random, channel: Channel, pulses: bool, whole: bool = Fals
     return replace(channel, inverted=frozenset(inverted), **fields)
 
 
-def draw_interlocks(random: Random, buses: list[str]) -> tuple[Interlock, ...]:
+def draw_interlocks(random: Random, buses: list[str], share: float) -> tuple[Interlock, ...]:
     """Returns an interlock on the first board, or on a board of its own, or none."""
-    if random.random() < 0.5:
+    if random.random() >= share:
         return ()
     node, inverted = random.choice([1, 9]), random.random() < 0.5
     return (Interlock("door", buses[node % len(buses)], node, 30, inverted),)

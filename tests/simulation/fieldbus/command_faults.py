@@ -69,8 +69,12 @@ class CommandFaults(CommandMaker):
             require(master.outputs == wanted, f"outputs {master.outputs:b} are told; {wanted:b} are driven")
 
         def check() -> None:
+            driven = world.switching.driven()
+            self._commit(driven)  # sends anew what the boards with SYNC may have latched
+            world.wait(lambda: not master.committing, 0.6 + world.watching.slack, "committed")
+            require(world.switching.driven() == driven, f"the pins are {world.switching.driven():b}, were {driven:b}")
             master.drain_switched()
-            world.switching.forget(world.switching.driven())
+            world.switching.forget(driven)
 
         return Fault(cause, lambda: world.use.release_quietly(), Expected((), within=AT_ONCE), check)
 

@@ -44,6 +44,7 @@ class Use:
         states = self.possible(states)
         before = self._world.agenda.now
         changed = self._world.switching.states ^ states
+        ending = self._world.switching.states & ~states & self._world.wiring.pulsed & master.unread
         self._world.switching.commands(states)
         self._count_reads()
         self._world.note(f"commit {states:b}")
@@ -52,6 +53,7 @@ class Use:
         self._world.made["switches"] += 1
         self._world.switching.ended(master.outputs, master.drain_switched(), master.commit_failed)
         self._judge_ending(before)
+        self._judge_missed(ending)
         if self._world.random.random() < 0.7:
             self._world.wait(lambda: not master.unread, COMMITTED + self._world.watching.slack, "read back")
         self._judge_read_back(changed)
@@ -63,6 +65,11 @@ class Use:
             if changed & board.unsensed & ~unread:
                 read = name in world.watching.output_reads
                 require(read, f"{name}: {changed:b} was switched, {unread:b} is unread, and nobody has read outputs")
+
+    def _judge_missed(self, ending: int) -> None:
+        """Requires that only pulses are missed that have ended unread: lines of a mask."""
+        missed = self._world.master.drain_missed()
+        require(not missed & ~ending, f"pulses {missed:b} are missed; {ending:b} have ended unread")
 
     def _judge_ending(self, before: float) -> None:
         seconds = self._world.agenda.now - before
@@ -88,12 +95,14 @@ class Use:
         master, now = self._world.master, self._world.agenda.now
         states = self._world.switching.states & ~on
         self._world.switching.commands(states, on)
+        ending = on & master.unread
         self._count_reads()
         self._world.note(f"release {on:b}")
         self._world.site.call(lambda m: m.commit(~on & self._world.wiring.lines, now, release=True))
         self._world.wait(lambda: not moves(master), COMMITTED, "released")
         self._world.made["releases"] += 1
         self._world.switching.ended(master.outputs, master.drain_switched(), master.commit_failed)
+        self._judge_missed(ending)
         self._world.wait(lambda: not master.released, COMMITTED + self._world.watching.slack, "read back off")
 
     def release_quietly(self) -> None:
@@ -107,6 +116,7 @@ class Use:
             self._world.wait(lambda: not moves(master), COMMITTED, "released")
         self._world.switching.forget(self._world.switching.driven())
         master.drain_switched()
+        master.drain_missed()
         self._count_reads()
 
     def read_all(self) -> None:

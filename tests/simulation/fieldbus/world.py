@@ -176,6 +176,7 @@ class BoardWorld:
         self.made["boot: refused" if master.boot_faults else "boot: ready"] += 1
         for fault in master.boot_faults:
             self.made[f"boot: {fault.code} {fault.message.split(' ', 2)[2][:50]}"] += 1
+        master.drain_missed()  # of pulses that trouble has ended
         late = master.drain_faults()
         require(not late, f"faults are told twice: {late}")
         self.calm = self.ready = master.outputs_known

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from hyperbit.controller.program import Snapshot, unpack
@@ -33,9 +34,8 @@ class Snapshots:
         self.locks_asked = 0
         self._shown_at = self._read_at = self._a.now
         self.boots = 0
-        self._restarted = (
-            0  # mask of the actuators whose board has restarted since the last boot that made the arm ready
-        )
+        self._booted_at = -math.inf  # end of the last boot [s]
+        self._restarted = 0  # mask of the actuators whose board has restarted since the arm became ready
 
     def hears(self, bus: str, cob_id: int, data: bytes) -> None:
         """The process hears a frame; a boot-up message tells of a restart."""
@@ -141,7 +141,8 @@ class Snapshots:
                 known |= arm.definite(reading.extended, reading.contracted)
             lost, self._restarted = self._restarted & arm.paired & ~known & ~a.locked, 0
             require(not lost & ~homing, f"the boards of {lost:b} have restarted, {homing:b} are to be homed")
-            a.unknown &= ~known
+            pulsed = mask_of(arm.pulse) & a.ground.came_since(self._booted_at)
+            a.unknown, self._booted_at = (a.unknown | self._proofs.forgone & pulsed) & ~known, a.now
             a.knows_unknown = a.clear
         if not a.clear:
             a.unknown, a.knows_unknown = homing | a.locked & arm.paired, False

@@ -77,6 +77,10 @@ def without(key: str) -> Change:
 MODULES = (
     "[SupportedModules]\nNrOfEntries=1\n\n[M1ModuleInfo]\nProductName=8DO\n\n[M1SubExtends]\nNrOfEntries=1\n1=0x6200\n"
 )
+LISTED = (
+    "[SupportedModules]\nNrOfEntries=2\n\n[M1FixedObjects]\nNrOfEntries=1\n1=0x6000\n\n"
+    "[M2FixedObjects]\nNrOfEntries=1\n1=0x6200\n\n[ConnectedModules]\nNrOfEntries=2\n1=1\n2=2"
+)
 MODULE = "\n[M1SubExt6200]\nParameterName=v\nDataType=0x0005\nAccessType=rww\nPDOMapping=1\nCount=1\nObjExtend=0\n"
 
 FITS: dict[str, Change] = {
@@ -155,7 +159,7 @@ FITS: dict[str, Change] = {
 }
 
 LACKS: dict[str, tuple[Change, str]] = {
-    "a limit in another case": (put("1016sub1", "Highlimit=0x10"), "1016h sub 1"),
+    "a limit in another case": (put("1017", "Highlimit=0x10"), "1017h sub 0"),
     "a limit too low": (put("1017", "HighLimit=50"), "value too high"),
     "a fixed mapping in another case": (
         both(
@@ -181,6 +185,12 @@ LACKS: dict[str, tuple[Change, str]] = {
 
 OPEN: dict[str, tuple[Change, str]] = {
     "outputs that modules bring": (both(drop("6200"), add(MODULES + MODULE)), "modules bring it"),
+    "outputs in a module's list": (both(drop("6200"), add(LISTED)), "modules bring it"),
+    "outputs that a module describes": (
+        both(drop("6200"), add("[M1Fixed6200]\nParameterName=v\n\n[M1Fixed6200sub1]\nDataType=5")),
+        "modules bring it",
+    ),
+    "a limit that leaves no room for a node id": (put("1016sub1", "HighLimit=65535"), "1016h sub 1"),
     "a type that cannot be read": (put("1017", "DataType=word"), "1017h"),
     "an access that cannot be read": (put("1016sub1", "AccessType=allowed"), "1016h sub 1"),
     "a read-only value that is not told": (
@@ -215,6 +225,12 @@ def test_a_lack_is_told_and_what_an_eds_does_not_tell_is_none(tmp_path, name):
     kind, text, _ = verdict(tmp_path, change(TEXT))
     assert kind == ("lacks" if name in LACKS else "open"), text
     assert words in text
+
+
+def test_an_absent_device_type_is_one_lack(tmp_path):
+    kind, text, _ = verdict(tmp_path, drop("1000")(TEXT))
+    assert kind == "lacks"
+    assert text.count("the EDS says") == 1, text
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig", "latin-1", "cp1252"])
