@@ -172,7 +172,7 @@ class Core:
         """Returns the fields of the arm's description that change."""
         state, goal = self._view.state, self._programs.current
         faults = () if state is None else state.snapshot.faults
-        waypoints = () if goal is None or goal.report is None else goal.report.waypoints
+        waypoints = () if goal is None or goal.report is None else goal.report.waypoints()
         return {
             "limits": [fault.message for fault in faults if fault.code == "board-limits"],
             "sent_obstacles": self._obstacles.regions,

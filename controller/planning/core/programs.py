@@ -5,10 +5,9 @@ from functools import partial
 from hyperbit.controller.motion.stages.feed import Improved
 from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Publish, Record, Reply, ToExecutor
-from hyperbit.controller.planning.core.goal import Goal
+from hyperbit.controller.planning.core.goal import Goal, GoalOutcome
 from hyperbit.controller.planning.core.obstacles import ObstacleOwner
 from hyperbit.controller.planning.core.parts import Parts
-from hyperbit.controller.planning.core.reports import GoalOutcome
 from hyperbit.controller.planning.core.results import Results
 from hyperbit.controller.program import Accepted, Begun, Cancel, Ended, Replaced, Settled
 from hyperbit.controller.refusals.codes import PATH_TOLERANCE_VIOLATED
@@ -117,7 +116,7 @@ class Programs:
                 goal.switches, point = message.switches, goal.feed.begin(message.stage)
                 goal.stage_began = self._moment.now
                 if goal.report is not None:
-                    goal.report.begun(point)
+                    goal.report.point = max(goal.report.point, point)
                 self._feed(goal)
             case Replaced():
                 goal.feed.answered(message.generation, message.accepted)
@@ -125,7 +124,7 @@ class Programs:
             case Settled():
                 goal.switches = message.switches
                 if goal.report is not None:
-                    goal.report.begun(message.mark)
+                    goal.report.point = max(goal.report.point, message.mark)
                     if (left := goal.report.left_path(message.mark, self._view.measured_in(message))) is not None:
                         self.end(goal, left, f"holding; goal {goal.id} left its path: {left}")
                 goal.held.append(message)

@@ -18,9 +18,8 @@ from hyperbit.controller.motion.targets import GoalTarget, measured_pose
 from hyperbit.controller.planning.core import events
 from hyperbit.controller.planning.core.arm import Measured
 from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Payload, ResultEntry, ToExecutor
-from hyperbit.controller.planning.core.goal import Goal
+from hyperbit.controller.planning.core.goal import Context, Goal, GoalOutcome
 from hyperbit.controller.planning.core.parts import Parts
-from hyperbit.controller.planning.core.reports import Context, GoalOutcome
 from hyperbit.controller.program import Acknowledge, Ended
 from hyperbit.controller.refusals import codes
 
@@ -93,7 +92,8 @@ class Results:
         outcome, planned, measured = self._told_outcome(identity), context.proof, view.measured_in(message)
         if goal is not None:
             context = msgspec.structs.replace(context, proof=goal.feed.proof)
-            target, outcome = None if goal.report is None else goal.report.present, goal.outcome
+            target = None if goal.report is None else goal.report.target(max(goal.report.point, 0))
+            outcome = goal.outcome
         outcome = outcome or outcome_of(view.manipulator, message, measured, context)
         if outcome.status == "succeeded" and (why := why_not_as_planned(planned, context.proof, message.switches)):
             outcome = outcome._replace(message=f"{outcome.message}; {why}")
