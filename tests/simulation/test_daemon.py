@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from hyperbit.controller.gateway.arrivals import RepeatedGoals
-from hyperbit.controller.gateway.claim import Claim
+from hyperbit.controller.gateway.daemon import Claim
 from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.motion.decoding.goal import BEGIN_WITHIN
 from hyperbit.controller.motion.stages.feed import Feed

@@ -14,10 +14,9 @@ from hyperbit.controller.motion.tracking.tracking import tracking_of
 from hyperbit.controller.planning.core import events
 from hyperbit.controller.planning.core.arm import ExecutorView
 from hyperbit.controller.planning.core.goals import Goals
-from hyperbit.controller.planning.core.locks import Locks
 from hyperbit.controller.planning.core.obstacles import ObstacleOwner
 from hyperbit.controller.planning.core.parts import Parts
-from hyperbit.controller.planning.core.premises import Premises, TipBiasEstimator
+from hyperbit.controller.planning.core.premises import Locks, Premises, TipBiasEstimator
 from hyperbit.controller.planning.core.programs import Programs
 from hyperbit.controller.planning.core.requests import ExecutorRequests, Queries
 from hyperbit.controller.planning.core.results import Results
