@@ -196,7 +196,22 @@ class Loop:
             self._handle_posted()
             for message in messages:
                 self._step(message)
-        self._handle_times()
+        now = self._clock()
+        if now >= self._wake:
+            self._wake = math.inf
+            self._step(events.Tick())
+        if now >= self._look_at:
+            self._look(now)
+        if now >= self._warnings_at:
+            self._warnings_at = now + WARNINGS_EVERY
+            warnings = self._warned
+            try:
+                warnings = self._services.warnings()
+            except Exception:
+                log.exception("the warnings are not known")
+            if warnings != self._warned:
+                self._warned = warnings
+                self._step(events.Warned(warnings))
         if self._core.ended and not self._link.sending:
             self.ended.set()
 
@@ -216,48 +231,25 @@ class Loop:
         for event in (*setpoints, *tips):
             self._step(event)
 
-    def _handle_times(self) -> None:
-        now = self._clock()
-        if now >= self._wake:
-            self._wake = math.inf
-            self._step(events.Tick())
-        if now >= self._look_at:
-            self._look(now)
-        if now >= self._warnings_at:
-            self._warnings_at = now + WARNINGS_EVERY
-            warnings = self._warned
-            try:
-                warnings = self._services.warnings()
-            except Exception:
-                log.exception("the warnings are not known")
-            if warnings != self._warned:
-                self._warned = warnings
-                self._step(events.Warned(warnings))
-
     # --- the core
 
     def _step(self, event: events.Event) -> None:
         """Passes an event to the core and carries out the actions. Raises the core's exceptions, and PlannerFailed."""
         now, wall = self._clock(), self._wall()
-        actions: Sequence[events.Action] | None = None
+        actions: Sequence[events.Action] | None = None  # None is recorded after an exception
         try:
             actions = self._core.step(event, now, wall)
             for action in actions:
                 self._carry_out(action)
         finally:
-            self._record(event, now, wall, actions)
-
-    def _record(self, event: events.Event, now: float, wall: float, actions: Sequence[events.Action] | None) -> None:
-        """Gives a step to the recorder, until the recorder fails; `actions` are None after an exception."""
-        if self._recorder is None:
-            return
-        try:
-            self._recorder(event, now, wall, actions)
-            if isinstance(event, events.Tick):  # not after each step: a worker may wait for the GIL
-                self._recorder.flush()
-        except Exception:
-            self._recorder = None
-            log.exception("the recording of events has ended")
+            try:
+                if self._recorder is not None:
+                    self._recorder(event, now, wall, actions)
+                    if isinstance(event, events.Tick):  # not after each step: a worker may wait for the GIL
+                        self._recorder.flush()
+            except Exception:
+                self._recorder = None
+                log.exception("the recording of events has ended")
 
     def _carry_out(self, action: events.Action) -> None:
         try:

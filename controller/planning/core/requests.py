@@ -108,8 +108,7 @@ class ExecutorRequests:
                 admission.bar(number)
                 self._pending[number] = now
             case "reset", _:
-                if self._locks.problem is not None:
-                    self._locks.retry()
+                self._locks.retry()
                 self._resets[number], self._pending[number] = admission.arrive(number), now
                 needed = self._view.mode()[0] in ("fault", "stopped")  # otherwise earlier requests may continue
                 (admission.bar if needed else admission.fence)(number)
