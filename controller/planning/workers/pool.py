@@ -163,7 +163,12 @@ class Workers:
             case tasks.DescribePlan() if process is not None:
                 return process.plan(task, queued.proceed)
             case tasks.DescribePlan():
-                return computations.describe(self._for_queries, task, queued.proceed, lambda: self._hurry(queued))
+
+                def hurry() -> bool:  # a query ends early if it is abandoned, a goal is planned, or another query waits
+                    goal = any(isinstance(other.task, tasks.PlanGoal) for other in list(self._queued.values()))
+                    return queued.abandoned or goal or not self._queues["queries"].empty()
+
+                return computations.describe(self._for_queries, task, queued.proceed, hurry)
             case tasks.FollowSetpoint():
                 return computations.follow(self._for_setpoints, task)
             case tasks.CheckStages():
@@ -174,11 +179,6 @@ class Workers:
                 return build_scene(self._arm, task)
             case tasks.BuildTables():
                 return build_tables(self._arm, self._densities, self._weights, task)
-
-    def _hurry(self, queued: QueuedTask) -> bool:
-        """Returns whether a query must end early: it is abandoned, a goal is planned, or another query waits."""
-        goal = any(isinstance(other.task, tasks.PlanGoal) for other in list(self._queued.values()))
-        return queued.abandoned or goal or not self._queues["queries"].empty()
 
 
 # --- plans in a process of their own
