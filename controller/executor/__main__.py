@@ -16,8 +16,7 @@ from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.process.buses import CanBuses
 from hyperbit.controller.executor.process.journal_file import FileJournal, default_path
-from hyperbit.controller.executor.process.log_lines import start_logging
-from hyperbit.controller.executor.process.real_time import enter_real_time
+from hyperbit.controller.executor.process.real_time import enter_real_time, start_logging
 from hyperbit.controller.executor.process.run import MOST_PENDING, EventLoop
 from hyperbit.controller.executor.process.server import ExecutorServer
 from hyperbit.controller.flight_recorder import FlightRecorder, Label

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
-from hyperbit.controller.executor.core.clients import Clients
 from hyperbit.controller.executor.core.ending import Ending
 from hyperbit.controller.executor.core.events import (
     Action,
@@ -25,7 +24,7 @@ from hyperbit.controller.executor.core.events import (
 )
 from hyperbit.controller.executor.core.modes import CLEARING, Modes
 from hyperbit.controller.executor.core.reports import Reports
-from hyperbit.controller.executor.core.requests import ClientRequests
+from hyperbit.controller.executor.core.requests import ClientRequests, Clients
 from hyperbit.controller.executor.motion.motion import ArmMotion
 from hyperbit.controller.executor.motion.program_execution import ProgramResults
 from hyperbit.controller.host.process import Log, Notify, Quit
