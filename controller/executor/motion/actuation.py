@@ -141,7 +141,13 @@ class Actuation:
         untold = indices(self._watched & on & ~self.told)
         due = [k for k in untold if now >= max(self._pulse_ends[k], self._adopted_at) + LATE]
         self.told |= mask_of(due)
-        return [self._overdue(k) for k in due]
+        faults = list[ArmFault]()
+        for k in due:
+            it = self._arm.wiring.channels[k]
+            text = f"the pulse of actuator {it.place} could not be ended in time: its coil may be on"
+            advice = f"it is switched off again until it reads off; cut the power of {it.bus}/{it.node} meanwhile"
+            faults.append(ArmFault("pulse-overdue", it.place, f"{text}; {advice}"))
+        return faults
 
     def record_switched(self, lines: int, now: float) -> int:
         """Records that the SYNC of output lines was sent; returns the mask of the moving actuators."""
@@ -221,12 +227,6 @@ class Actuation:
         if missed := self._master.drain_missed():
             self.missed |= self._kinds.actuators(missed) & ~self._kinds.actuators(self._master.outputs)
             self.uncertain |= self.missed
-
-    def _overdue(self, k: int) -> ArmFault:
-        channel = self._arm.wiring.channels[k]
-        text = f"the pulse of actuator {channel.place} could not be ended in time: its coil may be on"
-        advice = f"it is switched off again until it reads off; cut the power of {channel.bus}/{channel.node} meanwhile"
-        return ArmFault("pulse-overdue", channel.place, f"{text}; {advice}")
 
     def _find_rebooted(self) -> int:
         """Returns the mask of the paired actuators whose board has restarted since the last adoption."""

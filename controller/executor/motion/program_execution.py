@@ -228,7 +228,7 @@ class ProgramResults:
     """Sends the results of programs, and stores them until the planner acknowledges them."""
 
     def __init__(self, send: Callable[[Up], None], journal: SwitchJournal) -> None:
-        self.stored: dict[int, Ended] = {}
+        self.stored: dict[int, Ended] = {}  # by number
         self._send, self._journal = send, journal
         self._number = 0
 
@@ -253,9 +253,6 @@ class ProgramResults:
             del self.stored[min(self.stored)]
         self.send_counts()
         self._send(result)
-
-    def acknowledge(self, number: int) -> None:
-        self.stored.pop(number, None)
 
     def send_counts(self) -> None:
         self._send(Counted(tuple(self._journal.counts)))
