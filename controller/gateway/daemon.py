@@ -254,7 +254,6 @@ class Claim:
 
 
 def claimant(answer: bytes) -> Claimant:
-    """Returns the claimant in an answer on its claim, or in the payload of `arm`."""
     try:
         value = json.loads(answer)
         return msgspec.convert(value.get("daemon", value), Claimant)

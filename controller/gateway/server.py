@@ -79,7 +79,6 @@ class Server:
         self._declared.callback(session.liveliness().declare_token(f"{self._prefix}/alive").undeclare)
 
     def close(self) -> None:
-        """Undeclares all keys, the liveliness token first."""
         self._declared.close()
 
     def _subscribe(self, name: str, on_put: Callable[[zenoh.Sample], None]) -> None:

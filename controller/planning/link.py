@@ -99,14 +99,12 @@ class ExecutorLink:
         self._queue.clear()
 
     def drop(self, reason: str) -> None:
-        """Ends the connection, if there is one; `receive` returns the LinkDown."""
         if self._connection is not None:
             self._report(reason)
             self.close()
             self.retry_at = self._clock() + RETRY  # the executor must first notice the end of this connection
 
     def receive(self) -> list[FromExecutor | LinkDown]:
-        """Returns the events since the last call; never waits."""
         for _ in range(MOST_RECEIVED):
             if self._connection is None:
                 break

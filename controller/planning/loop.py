@@ -54,8 +54,6 @@ class Services(NamedTuple):  # services of the process for the planner
 
 
 class Mailbox:
-    """The latest set-point or measured tip of each sender. Thread-safe."""
-
     def __init__(self, kind: type[events.Arrived]) -> None:
         self._kind = kind
         self._latest: dict[str, events.Arrived] = {}
@@ -223,7 +221,6 @@ class Loop:
             self._step(event)
 
     def _look(self, now: float) -> None:
-        """Handles the contents of the mailboxes."""
         setpoints, tips = self.setpoints.take(), self.tips.take()
         if setpoints:
             self._stream_until = now + STREAM_ENDS

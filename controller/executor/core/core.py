@@ -67,7 +67,6 @@ class Executor:
 
     @property
     def ended(self) -> bool:
-        """Whether the process may end now, after a `Quit`."""
         return self.ending.over
 
     @property

@@ -64,7 +64,6 @@ class Clients:
         return True
 
     def remove(self, client: ClientId) -> bool:
-        """Removes a client; returns whether it was the planner."""
         self.roles.pop(client, None)
         if client != self.planner:
             return False
@@ -221,7 +220,6 @@ class ClientRequests:
         self._modes.hold("canceled", message.reason or "canceled; the arm holds", f"holding; {name} was canceled")
 
     def _stop(self, client: ClientId, message: program.Stop, now: float) -> None:
-        """Stops: nothing moves until a reset."""
         self._modes.new_epoch()
         self._hold_answer(client, message.request, "stopped", "the arm holds until reset", now)
         self._modes.hold(

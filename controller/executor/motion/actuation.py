@@ -268,7 +268,6 @@ class Readings:
 
     @property
     def definite(self) -> int:
-        """Mask of the actuators whose end-stops show their state now."""
         return self._kinds.definite(self.ends) & self._master.known
 
     @property

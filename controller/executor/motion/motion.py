@@ -96,11 +96,9 @@ class ArmMotion:
 
     @property
     def committing(self) -> bool:
-        """Whether frames of a commit still wait to be sent."""
         return self.busy and self._master.committing
 
     def adopt(self, now: float) -> None:
-        """Adopts the present outputs and end-stops; switches nothing."""
         self._travel_times.forget(-1)
         self.actuation.adopt(self.readings.read, self.readings.definite, now)
 
@@ -138,7 +136,6 @@ class ArmMotion:
             self.send_result()
 
     def send_result(self) -> None:
-        """Sends the result of an ended program, once."""
         if self._ended is not None:
             execution, status, message = self._ended
             self._ended = None
@@ -217,7 +214,6 @@ class ArmMotion:
         return True
 
     def _advance_program(self, execution: ProgramExecution, now: float) -> End | None:
-        """Begins the due stage of a program; returns an end if the program cannot continue."""
         index = None if self.busy else execution.due(now, self.actuation.states, self._arm.most)
         if index is None:
             return None
@@ -232,7 +228,6 @@ class ArmMotion:
         return End("aborted", f"{why}; the arm holds", f"holding; {execution.program.name} was aborted: {why}")
 
     def _advance_stream(self, stream: SetpointStream, now: float) -> End | None:
-        """Begins the due stage of a stream; returns an end if the stream has stopped."""
         if now > stream.until:
             return End("canceled", "", "holding; the stream of setpoints has stopped")
         if self.busy or (stream.stages and not self._realign(self.kinds.everything, stream.start, now)):

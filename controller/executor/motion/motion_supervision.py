@@ -130,7 +130,6 @@ class MotionSupervision:
         ]
 
     def _travel(self, k: int) -> float:
-        """Returns the longest travel time of an actuator to its commanded end [s]."""
         return self._kinds.travel[k][self._commanded >> k & 1]
 
     def _awaited(self, ends: Ends) -> int:

@@ -225,8 +225,6 @@ class SetpointStream:
 
 
 class ProgramResults:
-    """Sends the results of programs, and stores them until the planner acknowledges them."""
-
     def __init__(self, send: Callable[[Up], None], journal: SwitchJournal) -> None:
         self.stored: dict[int, Ended] = {}  # by number
         self._send, self._journal = send, journal
@@ -258,6 +256,5 @@ class ProgramResults:
         self._send(Counted(tuple(self._journal.counts)))
 
     def send_again(self) -> None:
-        """Sends all stored results to a planner that has just connected."""
         for result in self.stored.values():
             self._send(result)

@@ -105,7 +105,6 @@ class LogLines(logging.Handler):
         super().close()
 
     def _write(self, timeout: float) -> None:
-        """Writes while the output accepts lines; waits for `timeout` before each write [s]."""
         try:
             while self._waiting and select.select([], [self._output], [], timeout)[1]:
                 line = self._waiting.popleft()

@@ -112,7 +112,6 @@ class EventLoop:
         return read
 
     def _receive_frames(self) -> None:
-        """Handles events of the buses until there are no more, or the tick is due."""
         for _ in range(MOST_ROUNDS):
             arrived = self._buses.poll(self._clock())
             for event in arrived:
@@ -204,7 +203,6 @@ class Timekeeper:
         self._next = self._last = now
 
     def remaining(self, now: float) -> float:
-        """Returns the time until the next tick [s], 0 if it is due."""
         return max(self._next - now, 0.0)
 
     def tick_is_near(self, now: float) -> bool:

@@ -159,7 +159,6 @@ class ExecutorServer:
         os.close(self._lock)
 
     def _accept(self, events: list[FromClient | ClientGone], now: float) -> None:
-        """Accepts waiting connections, reads each at once, and makes room for it."""
         for _ in range(MOST_ACCEPTED):
             try:
                 connected, _ = self._listening.accept()

@@ -25,7 +25,6 @@ def measured_states(measured: bytes, known: bytes, actuators: int) -> Measured:
 
 
 def packed(states: NDArray[np.generic]) -> bytes:
-    """Returns actuator states (A,) in the executor's packing."""
     return np.packbits(states.astype(np.uint8), bitorder="little").tobytes()
 
 

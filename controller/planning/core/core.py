@@ -164,7 +164,6 @@ class Core:
             self._act(events.Reply(request.number, events.refused(Refusal(Reason.INTERNAL_ERROR))))
 
     def _live(self) -> events.Payload:
-        """Returns the fields of the arm's description that change."""
         state, goal = self._view.state, self._programs.current
         faults = () if state is None else state.snapshot.faults
         waypoints = () if goal is None or goal.report is None else goal.report.waypoints()

@@ -85,7 +85,6 @@ class GoalReport:
         return [{"t": self._trajectory.times[k], **self._asked(k)} for k in self._trajectory.waypoints.tolist()]
 
     def settled(self, message: Settled, measured: Measured, deviation: float | None) -> Payload | None:
-        """Returns the feedback of a settled waypoint, None for other points; `deviation` is of its transition."""
         point, trajectory = message.mark, self._trajectory
         self._stages += message.stages
         so_far = self._deviation

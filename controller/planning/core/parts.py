@@ -22,8 +22,6 @@ OnAnswer = Callable[[Answer], None]
 
 @dataclass(eq=False)
 class Ticket:
-    """The place of a request in the order of arrival."""
-
     number: int
     epoch: int | None  # of the executor at arrival; None while it is not known
     waits_for: frozenset[int]  # the executor's requests that were unanswered at arrival, and may begin a new epoch
@@ -114,8 +112,6 @@ class Job:
 
 
 class Jobs:
-    """Starts tasks, and passes each answer to the part of the core that asked."""
-
     def __init__(self, moment: Moment, act: Callable[[Action], None]) -> None:
         self._moment, self._act, self._last = moment, act, 0
         self._jobs: dict[int, Job] = {}
@@ -143,7 +139,6 @@ class Jobs:
             job.on_answer(answer)
 
     def prepares(self, number: int) -> bool:
-        """Returns whether a task only prepares the next search."""
         return (job := self._jobs.get(number)) is not None and isinstance(job.task, PrepareSearch)
 
     def tick(self) -> None:

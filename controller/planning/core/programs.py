@@ -38,12 +38,10 @@ class Programs:
 
     @property
     def offered(self) -> bool:
-        """Whether a program waits for the executor's answer."""
         return any(goal.state == "offered" for goal in self._goals.values())
 
     @property
     def idle(self) -> bool:
-        """Whether nothing is in flight, and no answer waits for the ledger."""
         return not self._goals and not self._unrecorded
 
     def unchecked(self) -> list[str]:
@@ -82,7 +80,6 @@ class Programs:
     # --- the executor
 
     def accepted(self, message: Accepted) -> None:
-        """Handles the acceptance of a program; cancels a program that was abandoned meanwhile."""
         goal, scene = self._goals.get(message.program), self._obstacles.scene
         if goal is None:
             self._act(ToExecutor(Cancel(0, message.program, GAVE_UP)))
@@ -150,7 +147,6 @@ class Programs:
     # --- obstacles
 
     def park(self, generation: int) -> None:
-        """Withdraws the pending stages of all programs, because obstacles have changed."""
         for goal in list(self._goals.values()):
             if goal.feed.checked != generation and not goal.unchecked:
                 self._stop_tasks(goal)

@@ -21,8 +21,6 @@ CANCELED = "canceled; the arm holds"
 
 
 class Queries:
-    """Answers `plan` queries, each once."""
-
     def __init__(self, parts: Parts, premises: Premises) -> None:
         self._parts, self._premises = parts, premises
         self._waiting: dict[int, Request] = {}  # by number

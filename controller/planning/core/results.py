@@ -27,8 +27,6 @@ SENT_AGAIN_WITHIN = 5.0  # [s] after its greeting; by then the executor has sent
 
 @dataclass(eq=False)
 class Untold:
-    """A result that is not yet acknowledged."""
-
     identity: Identity
     result: int | None  # number at the executor, for the acknowledgement; None: unknown to the executor
     accepted: AcceptanceEntry  # in case the ledger lacks it
@@ -190,7 +188,6 @@ def decode_context(data: bytes) -> Context | None:
 
 
 def outcome_of(manipulator: Manipulator, ended: Ended, measured: Measured, context: Context) -> GoalOutcome:
-    """Returns the outcome of a program from the executor's end and the measured states (A,)."""
     target, goal = context.target, f"goal {context.id} was"
     if ended.status != "done":
         code = codes.PATH_TOLERANCE_VIOLATED if ended.status == "aborted" else codes.INVALID_GOAL

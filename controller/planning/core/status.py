@@ -48,7 +48,6 @@ class Status:
         self._logged: dict[tuple[str, str], Fault] = {}  # by code and source
 
     def report(self) -> None:
-        """Publishes the due messages, and feeds systemd's watchdog."""
         now = self._moment.now
         if now >= self._state_due():
             self.publish_state()

@@ -144,7 +144,6 @@ class Stream:
         return max(self._next_look, min(self._next_alive, next_search))
 
     def park(self) -> None:
-        """Withdraws pending stages, because the obstacles have changed."""
         self._abandon()
         state, ticket = self._view.state, self._ticket
         if state is None or ticket is None or ticket.epoch is None or self._admission.stream_ended(ticket):
@@ -221,7 +220,6 @@ class Stream:
         self._job = self._answer = self._found = None
 
     def _alive(self, last: float) -> bool:
-        """Returns whether the given time of the last set-point is within the time-out."""
         return self._moment.now - last <= self._timeout
 
     def status(self) -> Payload:

@@ -263,7 +263,6 @@ def answer_plans(connection: Connection, planner: PlanServer, expected: str) -> 
 
 
 def end_with_parent() -> None:
-    """Ends this process, also within a search, when its parent ends."""
     if (parent := multiprocessing.parent_process()) is not None:
         wait([parent.sentinel])
         os._exit(1)
