@@ -183,13 +183,13 @@ class Loop:
         due = min(self._wake, self._warnings_at, self._look_at)
         if self._link.fileno() < 0:
             due = min(due, self._link.retry_at)
-        ready = self._inbox.wait(0.0 if self._link.pending else max(due - self._clock(), 0.0), self._link)
+        ready = self._inbox.wait(0.0 if self._link.received else max(due - self._clock(), 0.0), self._link)
         self._note_alive()
         self._handle_posted()
         self._link.connect(self._clock())
-        if self._link.sending:
+        if self._link.queue:
             self._link.flush()
-        if ready or self._link.pending:
+        if ready or self._link.received:
             messages = self._link.receive()
             self._handle_posted()
             for message in messages:
@@ -210,7 +210,7 @@ class Loop:
             if warnings != self._warned:
                 self._warned = warnings
                 self._step(events.Warned(warnings))
-        if self._core.ended and not self._link.sending:
+        if self._core.ended and not self._link.queue:
             self.ended.set()
 
     def _handle_posted(self) -> None:

@@ -164,7 +164,7 @@ class ArmMotion:
             travels = self._travel_times.drain_arrived(self.readings.ends, at)
             if running is not None and len(running.travels) < MOST_TRAVELS:
                 running.travels += travels
-        reached = self.actuation.conclude(now) if self.busy else None
+        reached = None if self.actuation.target is None else self.actuation.conclude(now)
         if self._ended is not None and not self.committing:
             self.send_result()
         if reached is not None and self._index != REALIGNMENT:

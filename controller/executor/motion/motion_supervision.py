@@ -144,7 +144,9 @@ class MotionSupervision:
 
     def _late(self, ends: Ends) -> int:
         """Returns the mask of the actuators whose end-stops contradict the commanded state."""
-        return self._awaited(ends) | self._at_other_end(ends)
+        extended = (self._kinds.ends_extended & ~ends.extended) | ends.contracted
+        contracted = (self._kinds.ends_contracted & ~ends.contracted) | ends.extended
+        return merged(self._commanded, extended, contracted)
 
     def _confirm(self, suspects: int, asked: int, now: float) -> tuple[int, int]:
         """Asks the boards of actuators with unexpected end-stop readings for their inputs, once.
