@@ -16,13 +16,13 @@ from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.process.buses import CanBuses
 from hyperbit.controller.executor.process.journal_file import FileJournal, default_path
-from hyperbit.controller.executor.process.log_lines import start_logging
-from hyperbit.controller.executor.process.real_time import enter_real_time
+from hyperbit.controller.executor.process.real_time import enter_real_time, start_logging
 from hyperbit.controller.executor.process.run import MOST_PENDING, EventLoop
 from hyperbit.controller.executor.process.server import ExecutorServer
 from hyperbit.controller.flight_recorder import FlightRecorder, Label
 from hyperbit.controller.host.keeper import FileInUse
 from hyperbit.controller.host.notify import Notifier
+from hyperbit.controller.host.signals import ENDING, end_on_signals, ignore
 from hyperbit.controller.host.sockets import socket_path
 from hyperbit.drivers.canopen.faults import BusError
 
@@ -83,7 +83,10 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         if isinstance(buses, CanBuses):
             buses.listen(arm.timing.heartbeat)
         log.info("the boards of %s are %s", arm.name, "simulated in this process" if boards else "on CAN buses")
-        EventLoop(core, buses, server, notifier, recorder=recorder).run_until_signal()
+        loop = EventLoop(core, buses, server, notifier, recorder=recorder)
+        end_on_signals(loop.quit)
+        loop.run()
+        ignore(ENDING)  # a second signal, such as that of a parent's death, must not interrupt the end
 
 
 if __name__ == "__main__":

@@ -14,8 +14,6 @@ Given = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 
 class RecordedStep(NamedTuple):
-    """One step of the core."""
-
     event: Any
     now: float  # CLOCK_MONOTONIC [s]
     wall: float | None  # UNIX time [s]; None for a core without it

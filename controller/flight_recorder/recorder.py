@@ -145,7 +145,6 @@ class FlightRecorder:
         self.close()
 
     def _checkpoint(self) -> bytes:
-        """Returns the pickled core; b"" if it cannot be pickled now."""
         try:
             return self._pickled(self._core)
         except Exception as error:
@@ -162,7 +161,6 @@ class FlightRecorder:
         return buffer.getvalue()
 
     def _begin(self, checkpoint: bytes) -> None:
-        """Begins a generation in place of the older one."""
         path = self.paths[self._number % 2]
         about = {
             **self._label._asdict(),

@@ -43,7 +43,6 @@ class Rate:
         return len(self._times) == self._times.maxlen and self._clock() - self._times[0] < 1.0
 
     def admits(self) -> bool:
-        """Counts an event if the number is not exceeded; returns whether it was counted."""
         if self.exceeded():
             return False
         self.add()

@@ -103,7 +103,6 @@ class Outbox:
         self._put(self._inherited if result.inherited else self._first, (result, "result", result.payload), needed=True)
 
     def recorded(self) -> bool:
-        """Returns whether a peer receives the notes on requests."""
         try:
             return bool(self._publishers["@request"].matching_status.matching)  # type: ignore[attr-defined]  # no bool
         except zenoh.ZError:  # the session is closed
@@ -178,7 +177,6 @@ class Outbox:
             self._post(Published(self._put_results.popleft()[1]))
 
     def _stood_still(self) -> bool:
-        """Returns whether clients may still be reconnecting after a standstill."""
         now = self._clock()
         if now - self._last_reading > self._lease / 2:  # keep-alives are sent four times in a lease
             self._wait_until = now + RECONNECTED

@@ -27,8 +27,6 @@ SavedGoal = dict[str, Any]  # the payload of a goal without id and stamp
 
 
 class PosesMessage(Struct, forbid_unknown_fields=True, frozen=True):
-    """The payload of `poses`: one pose to save or to remove."""
-
     save: Name | None = None  # a pose of this name is replaced
     goal: SavedGoal | None = None  # needed with `save`
     remove: Name | None = None

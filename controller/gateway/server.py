@@ -4,7 +4,7 @@ import logging
 import os
 import socket
 import sqlite3
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -79,7 +79,6 @@ class Server:
         self._declared.callback(session.liveliness().declare_token(f"{self._prefix}/alive").undeclare)
 
     def close(self) -> None:
-        """Undeclares all keys, the liveliness token first."""
         self._declared.close()
 
     def _subscribe(self, name: str, on_put: Callable[[zenoh.Sample], None]) -> None:
@@ -89,8 +88,12 @@ class Server:
     def _query(self, key: ServedKey, reach: Reach, *, ordered: bool) -> "Way":
         """Answers queries on `key`; `ordered` if they have a place among the commands."""
         way = Way(self._prefix, key, reach, self._parts)
-        on_query = Callback(way.on_query, indirect=not ordered)
-        self._declared.callback(self._session.declare_queryable(way.name, on_query).undeclare)
+
+        def on_query(query: zenoh.Query) -> None:
+            way.receive(query, partial(self._outbox.answer, query, key))
+
+        callback = Callback(on_query, indirect=not ordered)
+        self._declared.callback(self._session.declare_queryable(way.name, callback).undeclare)
         return way
 
     def _mailbox(self, key: str, mailbox: Mailbox) -> None:
@@ -138,9 +141,6 @@ class Way:
         self._brake, self._notes = FloodBrake(clock, pause), Rate(MOST_NOTES, clock)
         self._unanswered = set[Received]()  # a request is removed once, atomically
 
-    def on_query(self, query: zenoh.Query) -> None:
-        self.receive(query, partial(self._outbox.answer, query, self._key))
-
     def receive(self, it: zenoh.Query | zenoh.Sample, deliver: Reply) -> None:
         place = self._planner.loop.arrive()
         payload, attachment, stamp = content(it.payload), content(it.attachment), self._clocks.wall()
@@ -159,11 +159,15 @@ class Way:
         """Queues a request for the planner. Raises Refusal if it is malformed, names no arm, or too many wait."""
         match self._key:
             case "arm":
-                parts = wanted(received.payload)
-                describe = partial(self._describe, received, self._planner.description(parts), "running" in parts)
-                self._planner.loop.request(received.arrival, "arm", None, describe)
+                self._describe(received)
             case "poses":
-                self._change_poses(received)
+                self._check_named(received.name, named=True)
+                message = decode_poses(received.payload)
+                if message.goal is not None:
+                    self._planner.decoder.decode("goal", msgspec.json.encode(message.goal))
+                answer = self._poses.change(message)
+                self._outbox.count_poses_change()
+                self._answer(received, answer)
             case "result":
                 self._find_result(received)
             case key:
@@ -188,20 +192,20 @@ class Way:
         else:
             request(received.arrival, key, message, reply)
 
-    def _describe(self, received: Received, static: Payload, running: bool, live: Payload) -> None:
+    def _describe(self, received: Received) -> None:
         """Answers a query on `arm`; adds the parts that the planner's core does not know."""
-        daemon = {"host": socket.gethostname(), "pid": os.getpid()}
-        parts = {name: value for name, value in live.items() if running or name != "running"}
-        self._answer(received, {**static, **parts, "poses": self._poses.listed(), "daemon": daemon})
+        try:  # the parts asked for, as in {"with": ["drawing"]}; none for another form
+            parts = msgspec.json.decode(received.payload, type=dict[str, list[str]]).get("with", [])
+        except (msgspec.MsgspecError, RecursionError, UnicodeError):
+            parts = []
+        static = self._planner.description(parts)
 
-    def _change_poses(self, received: Received) -> None:
-        self._check_named(received.name, named=True)
-        message = decode_poses(received.payload)
-        if message.goal is not None:
-            self._planner.decoder.decode("goal", msgspec.json.encode(message.goal))
-        answer = self._poses.change(message)
-        self._outbox.count_poses_change()
-        self._answer(received, answer)
+        def answer(live: Payload) -> None:
+            live = {name: value for name, value in live.items() if name != "running" or name in parts}
+            daemon = {"host": socket.gethostname(), "pid": os.getpid()}
+            self._answer(received, {**static, **live, "poses": self._poses.listed(), "daemon": daemon})
+
+        self._planner.loop.request(received.arrival, "arm", None, answer)
 
     def _find_result(self, received: Received) -> None:
         """Answers from the ledger, which has the results of ended goals, also for a client that was away."""
@@ -240,14 +244,6 @@ class Way:
 
 def content(payload: zenoh.ZBytes | None) -> bytes:
     return b"" if payload is None else payload.to_bytes()
-
-
-def wanted(payload: bytes) -> Collection[str]:
-    """Returns the parts in a query of `arm`, as in {"with": ["drawing"]}; empty for another form."""
-    try:
-        return msgspec.json.decode(payload, type=dict[str, list[str]]).get("with", [])
-    except (msgspec.MsgspecError, RecursionError, UnicodeError):
-        return []
 
 
 def noted_content(payload: bytes) -> dict[str, Any]:

@@ -21,7 +21,6 @@ def user_folder(variable: str, usual: str) -> Path:
 
 
 def private_folder(name: str) -> Path | None:
-    """Returns a temporary folder that only this user can write; None if there is none."""
     import tempfile
 
     try:

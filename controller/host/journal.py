@@ -139,7 +139,6 @@ def fields_of(record: logging.LogRecord) -> dict[str, str]:
 
 
 def datagram(fields: Fields) -> bytes:
-    """Returns fields in the journal's native protocol."""
     data = bytearray()
     for name, value in fields.items():
         encoded = value.encode(errors="backslashreplace")[:MOST_TEXT]

@@ -171,7 +171,6 @@ def copy(memory: int, path: Path, interval: float) -> None:
 
 
 def ring_paths(arm: str, kind: str, pid: int) -> tuple[Path, Path]:
-    """Returns the paths of the two generations of a process in memory."""
     first, second = (SHARED / f"hyperbit-{os.getuid()}-{arm}-{kind}-{pid}.{n}.events" for n in range(2))
     return first, second
 

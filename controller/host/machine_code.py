@@ -23,7 +23,6 @@ ADVICE = f"set {VARIABLE} to a folder that you can write"
 
 
 def usual_folders() -> list[Path]:
-    """Returns the folders that numba tries, in its order."""
     named = os.environ.get(VARIABLE)
     home = user_folder("XDG_CACHE_HOME", ".cache")
     return [*([Path(named)] if named else []), Path(__file__).parent / "__pycache__", home / "numba"]
@@ -45,7 +44,6 @@ class FirstImport:
     """A finder of modules: it chooses the folder before the first import of numba, and then changes numba's cache."""
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        """Returns the specification of the module with the cache; None for all other modules."""
         if name == "numba" and (sentence := choose(usual_folders())) is not None:
             sys.stderr.write(f"{sentence}\n")
         if name != "numba.core.caching":

@@ -16,7 +16,6 @@ class Notifier:
     """
 
     def __init__(self) -> None:
-        """Reads $NOTIFY_SOCKET and $WATCHDOG_USEC."""
         address = os.environ.get("NOTIFY_SOCKET", "")
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) if address else None
@@ -24,7 +23,6 @@ class Notifier:
         self.watchdog = int(usec) / 1e6 if usec.isdecimal() and address else None
 
     def notify(self, assignment: str) -> None:
-        """Sends an assignment such as "READY=1"."""
         if self._socket is None:
             return
         line = " ".join(assignment.splitlines())  # a line break would begin another assignment

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 
 class Quit(NamedTuple):
-    """The process is asked to end."""
+    pass
 
 
 class Notify(NamedTuple):

@@ -62,5 +62,4 @@ def ignore(numbers: Iterable[signal.Signals]) -> None:
 
 
 def hang_up() -> tuple[signal.Signals, ...]:
-    """Returns SIGHUP unless it is ignored."""
     return () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)

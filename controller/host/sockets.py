@@ -8,7 +8,6 @@ INSTANCES = Path("/run/hyperbit-arms")  # folders of the services by instance
 
 
 def user_folder() -> Path:
-    """Returns the folder for the sockets of executors that a user starts."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     return Path(runtime) / "hyperbit" if runtime else Path(f"/tmp/hyperbit-{os.getuid()}")
 

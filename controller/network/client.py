@@ -49,7 +49,6 @@ class Client:
         self._on_renewal: list[Callable[[], None]] = []
 
     def close(self) -> None:
-        """Closes the sessions that this client has opened."""
         for session in self._opened:
             session.close()  # type: ignore[no-untyped-call]
         self._opened.clear()
@@ -130,7 +129,6 @@ class Client:
             subscriber.undeclare()  # type: ignore[no-untyped-call]
 
     def alive(self, timeout: float = 1.0) -> bool:
-        """Returns whether the daemon's liveliness token exists."""
         return any(reply.ok for reply in self._session.liveliness().get(f"{self._prefix}/alive", timeout=timeout))
 
     def run(

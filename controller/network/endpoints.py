@@ -59,7 +59,6 @@ def parse_endpoint(text: str) -> Endpoint:
 
 
 def accepts(address: tuple[str, int]) -> bool:
-    """Returns whether something accepts connections at an address."""
     with contextlib.suppress(OSError), socket.create_connection(address, timeout=ATTEMPT):
         return True
     return False

@@ -37,7 +37,6 @@ class ArmAddress(NamedTuple):
 
     @property
     def prefix(self) -> str:
-        """Prefix of all keys of the arm."""
         return f"{self.namespace}/hyperbit/{self.name}" if self.namespace else f"hyperbit/{self.name}"
 
 
@@ -234,7 +233,6 @@ def address_of(key: str) -> ArmAddress | None:
 
 
 def is_name(text: str) -> bool:
-    """Returns whether a text is a valid name of an arm."""
     return 0 < len(text) <= 64 and text.isascii() and text.replace("-", "a").replace("_", "a").isalnum()
 
 

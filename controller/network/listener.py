@@ -13,8 +13,6 @@ PARTS = b'{"with": ["drawing", "file"]}'
 
 
 class ReceivedMessage(NamedTuple):
-    """A received message."""
-
     at: int  # time of arrival, CLOCK_MONOTONIC [ns]
     key: str  # after "hyperbit/<arm>/"; "alive" and "gone" for the liveliness token, "arm" for the daemon's answer
     data: bytes

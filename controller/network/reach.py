@@ -69,7 +69,6 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
 
 
 def diagnosis(config: zenoh.Config, error: zenoh.ZError) -> NoSession:
-    """Returns why a session with this configuration cannot be opened."""
     tls = json.loads(config.get_json(TLS))
     connecting = "Unable to connect" in str(error)
     for text in endpoints(config, "connect" if connecting else "listen"):
@@ -178,7 +177,6 @@ def unusable_address(text: str, error: zenoh.ZError) -> NoSession:
 
 
 def valid_until(file: str | None) -> datetime | None:
-    """Returns the end of a certificate; None if the file cannot be read."""
     try:
         pem = PEM.search(Path(file or "").read_text(encoding="ascii"))
         times = VALIDITY.search(base64.b64decode(pem[1] if pem else ""))

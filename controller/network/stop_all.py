@@ -60,7 +60,6 @@ def stop_all(session: zenoh.Session, places: tuple[str, ...] = PLACES, timeout: 
 
 
 def note(reply: zenoh.Reply, answers: dict[ArmAddress, Message]) -> None:
-    """Adds an arm's answer to `answers`; ignores other replies."""
     if reply.ok is None or (address := address_of(str(reply.ok.key_expr))) is None:
         return
     try:

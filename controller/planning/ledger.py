@@ -84,7 +84,6 @@ class Ledger:
         return tuple(Fault(code, "ledger", message) for code, message in problems if message is not None)
 
     def close(self, timeout: float = 5.0) -> None:
-        """Writes the rest, and frees the ledger for other processes."""
         self._queue.put(None)
         self._thread.join(timeout)
         if self._lock is not None:

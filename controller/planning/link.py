@@ -62,21 +62,11 @@ class ExecutorLink:
         self._connection: Connection | None = None
         self._welcomed: Connection | None = None  # the same, after its Welcome
         self._reason = "waiting for the executor"  # of the last LinkDown
-        self._received: list[FromExecutor | LinkDown] = []
-        self._queue: deque[tuple[float, bytes]] = deque()  # time and data of each message
+        self.received: list[FromExecutor | LinkDown] = []  # `receive` returns them though the socket cannot be read
+        self.queue: deque[tuple[float, bytes]] = deque()  # time and data of messages that wait for `flush`
 
     def fileno(self) -> int:  # -1 without a connection
         return -1 if self._connection is None else self._connection.socket.fileno()
-
-    @property
-    def sending(self) -> bool:
-        """Whether messages wait until the socket can be written; then call `flush`."""
-        return bool(self._queue)
-
-    @property
-    def pending(self) -> bool:
-        """Whether `receive` returns events even if the socket cannot be read."""
-        return bool(self._received)
 
     def connect(self, now: float) -> None:
         if self._connection is not None or now < self.retry_at:
@@ -96,17 +86,15 @@ class ExecutorLink:
         if self._connection is not None:
             self._connection.shut()
         self._connection = self._welcomed = None
-        self._queue.clear()
+        self.queue.clear()
 
     def drop(self, reason: str) -> None:
-        """Ends the connection, if there is one; `receive` returns the LinkDown."""
         if self._connection is not None:
             self._report(reason)
             self.close()
             self.retry_at = self._clock() + RETRY  # the executor must first notice the end of this connection
 
     def receive(self) -> list[FromExecutor | LinkDown]:
-        """Returns the events since the last call; never waits."""
         for _ in range(MOST_RECEIVED):
             if self._connection is None:
                 break
@@ -121,7 +109,7 @@ class ExecutorLink:
                 break
             if (reason := self._accept(data)) is not None:
                 self.drop(reason)
-        received, self._received = self._received, []
+        received, self.received = self.received, []
         return received
 
     def _accept(self, data: bytes) -> str | None:
@@ -146,33 +134,33 @@ class ExecutorLink:
             case Welcome():
                 self._welcomed = self._connection
         if self._welcomed is not None:
-            self._received.append(FromExecutor(message))
+            self.received.append(FromExecutor(message))
         return None
 
     def _report(self, reason: str) -> None:
         if self._welcomed is not None or reason != self._reason:
-            self._received.append(LinkDown(reason))
+            self.received.append(LinkDown(reason))
         self._reason = reason
 
     def send(self, message: Down) -> None:
         """Sends a message, or queues it while the socket is full. Without a Welcome the message is dropped."""
         if self._welcomed is not None:
-            self._queue.append((self._clock(), encode(message)))
+            self.queue.append((self._clock(), encode(message)))
             self.flush()
 
     def flush(self) -> None:
         """Sends queued messages; drops the connection if the executor does not read."""
-        while self._queue and self._connection is not None:
+        while self.queue and self._connection is not None:
             try:
-                self._connection.send(self._queue[0][1])
+                self._connection.send(self.queue[0][1])
             except BlockingIOError:
-                if len(self._queue) > MOST_QUEUED or self._clock() - self._queue[0][0] > MOST_BEHIND:
+                if len(self.queue) > MOST_QUEUED or self._clock() - self.queue[0][0] > MOST_BEHIND:
                     self.drop(UNREAD)
                 return
             except OSError:  # `receive` detects the end, after the last messages
-                self._queue.clear()
+                self.queue.clear()
                 return
-            self._queue.popleft()
+            self.queue.popleft()
 
     def send_now(self, message: Down) -> str | None:
         """Sends a message before all queued ones; returns why it was not sent, or None.
@@ -229,18 +217,18 @@ class Inbox:
 
     def wait(self, timeout: float, link: ExecutorLink) -> bool:
         """Waits for an event, or for the link, for at most `timeout` seconds; returns whether the link is ready."""
-        number = link.fileno()
-        if self._watched != (number, link.sending):
+        watched = number, sending = link.fileno(), bool(link.queue)
+        if self._watched != watched:
             if self._watched[0] >= 0:
                 with contextlib.suppress(OSError):  # a closed socket is not watched any more
                     self._epoll.unregister(self._watched[0])
             if number >= 0:
-                self._epoll.register(number, select.EPOLLIN | (select.EPOLLOUT if link.sending else 0))
-            self._watched = (number, link.sending)
+                self._epoll.register(number, select.EPOLLIN | (select.EPOLLOUT if sending else 0))
+            self._watched = watched
         self._asleep = True  # before `events` is tested, so that no event is missed
         ready = self._epoll.poll(0 if self.events else timeout)
         self._asleep = False
-        return any(file == number for file, _ in ready)
+        return number in dict(ready)
 
     def __del__(self) -> None:
         os.close(self._wakeups)  # not earlier, because threads may post until the end

@@ -54,8 +54,6 @@ class Services(NamedTuple):  # services of the process for the planner
 
 
 class Mailbox:
-    """The latest set-point or measured tip of each sender. Thread-safe."""
-
     def __init__(self, kind: type[events.Arrived]) -> None:
         self._kind = kind
         self._latest: dict[str, events.Arrived] = {}
@@ -185,38 +183,17 @@ class Loop:
         due = min(self._wake, self._warnings_at, self._look_at)
         if self._link.fileno() < 0:
             due = min(due, self._link.retry_at)
-        ready = self._inbox.wait(0.0 if self._link.pending else max(due - self._clock(), 0.0), self._link)
+        ready = self._inbox.wait(0.0 if self._link.received else max(due - self._clock(), 0.0), self._link)
         self._note_alive()
         self._handle_posted()
         self._link.connect(self._clock())
-        if self._link.sending:
+        if self._link.queue:
             self._link.flush()
-        if ready or self._link.pending:
+        if ready or self._link.received:
             messages = self._link.receive()
             self._handle_posted()
             for message in messages:
                 self._step(message)
-        self._handle_times()
-        if self._core.ended and not self._link.sending:
-            self.ended.set()
-
-    def _handle_posted(self) -> None:
-        for _ in range(len(self._inbox.events)):
-            event = self._inbox.events.popleft()
-            if isinstance(event, events.Request):  # waiting set-points may have arrived earlier
-                self._look(self._clock())
-            self._step(event)
-
-    def _look(self, now: float) -> None:
-        """Handles the contents of the mailboxes."""
-        setpoints, tips = self.setpoints.take(), self.tips.take()
-        if setpoints:
-            self._stream_until = now + STREAM_ENDS
-        self._look_at = now + (STREAM_EVERY if now < self._stream_until else LOOK_EVERY)
-        for event in (*setpoints, *tips):
-            self._step(event)
-
-    def _handle_times(self) -> None:
         now = self._clock()
         if now >= self._wake:
             self._wake = math.inf
@@ -233,31 +210,43 @@ class Loop:
             if warnings != self._warned:
                 self._warned = warnings
                 self._step(events.Warned(warnings))
+        if self._core.ended and not self._link.queue:
+            self.ended.set()
+
+    def _handle_posted(self) -> None:
+        for _ in range(len(self._inbox.events)):
+            event = self._inbox.events.popleft()
+            if isinstance(event, events.Request):  # waiting set-points may have arrived earlier
+                self._look(self._clock())
+            self._step(event)
+
+    def _look(self, now: float) -> None:
+        setpoints, tips = self.setpoints.take(), self.tips.take()
+        if setpoints:
+            self._stream_until = now + STREAM_ENDS
+        self._look_at = now + (STREAM_EVERY if now < self._stream_until else LOOK_EVERY)
+        for event in (*setpoints, *tips):
+            self._step(event)
 
     # --- the core
 
     def _step(self, event: events.Event) -> None:
         """Passes an event to the core and carries out the actions. Raises the core's exceptions, and PlannerFailed."""
         now, wall = self._clock(), self._wall()
-        actions: Sequence[events.Action] | None = None
+        actions: Sequence[events.Action] | None = None  # None is recorded after an exception
         try:
             actions = self._core.step(event, now, wall)
             for action in actions:
                 self._carry_out(action)
         finally:
-            self._record(event, now, wall, actions)
-
-    def _record(self, event: events.Event, now: float, wall: float, actions: Sequence[events.Action] | None) -> None:
-        """Gives a step to the recorder, until the recorder fails; `actions` are None after an exception."""
-        if self._recorder is None:
-            return
-        try:
-            self._recorder(event, now, wall, actions)
-            if isinstance(event, events.Tick):  # not after each step: a worker may wait for the GIL
-                self._recorder.flush()
-        except Exception:
-            self._recorder = None
-            log.exception("the recording of events has ended")
+            try:
+                if self._recorder is not None:
+                    self._recorder(event, now, wall, actions)
+                    if isinstance(event, events.Tick):  # not after each step: a worker may wait for the GIL
+                        self._recorder.flush()
+            except Exception:
+                self._recorder = None
+                log.exception("the recording of events has ended")
 
     def _carry_out(self, action: events.Action) -> None:
         try:

@@ -23,7 +23,7 @@ Mode = Literal["starting", "ready", "executing", "fault", "stopped"]
 
 
 class Message(msgspec.Struct, frozen=True, tag=True, array_like=True, forbid_unknown_fields=True):
-    """One packet."""
+    pass
 
 
 class Stage(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):

@@ -33,7 +33,6 @@ class Reason(enum.Enum):
     code: int
 
     def __new__(cls, value: str, sentence: str, advice: str = "", code: int = INVALID_GOAL) -> "Reason":
-        """Makes a reason with its value and attributes."""
         reason = object.__new__(cls)
         reason._value_, reason.sentence, reason.advice, reason.code = value, sentence, advice, code
         return reason

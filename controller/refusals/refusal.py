@@ -34,22 +34,18 @@ class Refusal(ValueError):
 
     @property
     def reason(self) -> Reason:
-        """Why the request is refused."""
         return self._reason
 
     @property
     def facts(self) -> dict[str, str]:
-        """The facts as texts."""
         return self._facts
 
     @property
     def code(self) -> int:
-        """The result code of the reason."""
         return self.reason.code
 
     @property
     def data(self) -> "Refused":
-        """The refusal as plain data, for messages and events."""
         return Refused(self.reason, {name: printable(fact) for name, fact in self.facts.items()})
 
     def __str__(self) -> str:
@@ -64,7 +60,6 @@ class Refused(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
 
     @property
     def refusal(self) -> Refusal:
-        """The refusal to raise or to answer."""
         return Refusal(self.reason, **self.facts)
 
 
@@ -76,7 +71,6 @@ class NamedFacts(dict[str, str]):
 
 
 def shown(fact: Fact) -> str:
-    """Returns a fact as a text."""
     return f"{fact:g}" if isinstance(fact, float) else str(fact)
 
 

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 import pytest
 import zenoh
 
-from hyperbit.controller.gateway.claim import AlreadyRunning, Claim
+from hyperbit.controller.gateway.daemon import AlreadyRunning, Claim
 from hyperbit.controller.network import session
 from tests.gateway.conftest import ARM, Gateway
 from tests.waiting import PATIENCE, eventually

@@ -235,7 +235,7 @@ def test_a_dropped_connection_is_told_and_made_again(line: Line, executor: Scrip
     line.link.drop("nothing to drop")
     line.welcome()
     line.link.drop("silent")
-    assert (line.link.pending, line.link.fileno()) == (True, -1)
+    assert (bool(line.link.received), line.link.fileno()) == (True, -1)
     assert line.link.send_now(Stop(1)) == "silent"
     line.welcome(2)
     assert line.reasons == ["silent"]
@@ -243,7 +243,7 @@ def test_a_dropped_connection_is_told_and_made_again(line: Line, executor: Scrip
 
 def fill(line: Line) -> None:
     """Sends until a message waits."""
-    while not line.link.sending:
+    while not line.link.queue:
         line.link.send(PROGRAM)
 
 
@@ -252,7 +252,7 @@ def test_messages_wait_while_the_socket_is_full(line: Line, deaf: Deaf) -> None:
     line.link.send(Stop(7))
     deaf.read()
     line.link.flush()
-    assert not line.link.sending
+    assert not line.link.queue
     assert deaf.read() == [encode(PROGRAM), encode(Stop(7))]
 
 
@@ -266,17 +266,17 @@ def test_an_executor_that_reads_late_is_dropped(line: Line, deaf: Deaf) -> None:
     fill(line)
     line.now += MOST_BEHIND
     line.link.flush()
-    assert not line.link.pending
+    assert not line.link.received
     line.now += 0.1
     line.link.flush()
     assert line.link.receive() == [LinkDown(UNREAD)]
-    assert not line.link.sending
+    assert not line.link.queue
 
 
 def test_an_executor_that_does_not_read_is_dropped(line: Line, deaf: Deaf) -> None:
     fill(line)
     for _ in range(MOST_QUEUED):
-        assert not line.link.pending
+        assert not line.link.received
         line.link.send(Alive())
     assert line.link.receive() == [LinkDown(UNREAD)]
 

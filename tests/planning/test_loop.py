@@ -190,7 +190,7 @@ def test_messages_go_to_the_executor_until_it_is_disconnected(executor: Scripted
     bench.core.script[FromExecutor] = lambda event: (
         [ToExecutor(Stop(5)), Disconnect("the executor is silent")] if isinstance(event.message, Snapshot) else []
     )
-    while not bench.link.pending:
+    while not bench.link.received:
         bench.receive()
     executor.expect(Hello)
     assert executor.expect(Stop).request == 5

@@ -201,7 +201,7 @@ class SimulatedLink(ExecutorLink):
 
     @property
     def ready(self) -> bool:
-        return self.pending or (isinstance(self._connection, Socket) and self._connection.ready)
+        return bool(self.received) or (isinstance(self._connection, Socket) and self._connection.ready)
 
     def connect(self, now: float) -> None:
         """Connects and sends Hello, at most every RETRY seconds."""

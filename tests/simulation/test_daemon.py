@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from hyperbit.controller.gateway.arrivals import RepeatedGoals
-from hyperbit.controller.gateway.claim import Claim
+from hyperbit.controller.gateway.daemon import Claim
 from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.motion.decoding.goal import BEGIN_WITHIN
 from hyperbit.controller.motion.stages.feed import Feed
@@ -171,11 +171,11 @@ def _take_late_stamps(self: GoalTracker, position: Any, stamp: float | None, arr
 
 def _lose_what_waits(self: ExecutorLink) -> None:
     _flush(self)
-    self._queue.clear()
+    self.queue.clear()
 
 
 def _overtake(self: ExecutorLink, message: Any) -> None:
-    queue = self._queue
+    queue = self.queue
     _send(self, message)
     if len(queue) > 1:
         queue.appendleft(queue.pop())

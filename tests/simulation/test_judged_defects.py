@@ -10,17 +10,15 @@ import msgspec
 import pytest
 
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
-from hyperbit.controller.executor.core.clients import Clients
 from hyperbit.controller.executor.core.ending import Ending
 from hyperbit.controller.executor.core.modes import Modes
 from hyperbit.controller.executor.core.reports import Reports
-from hyperbit.controller.executor.core.requests import ClientRequests
+from hyperbit.controller.executor.core.requests import ClientRequests, Clients
 from hyperbit.controller.executor.motion import program_execution
-from hyperbit.controller.executor.motion.actuation import Actuation
+from hyperbit.controller.executor.motion.actuation import Actuation, Readings, TravelTimes
 from hyperbit.controller.executor.motion.motion import ArmMotion, ClearanceQuestions
 from hyperbit.controller.executor.motion.motion_supervision import MotionSupervision
 from hyperbit.controller.executor.motion.program_execution import ProgramExecution, ProgramResults
-from hyperbit.controller.executor.motion.readings import Readings, TravelTimes
 from hyperbit.controller.program import Replacement, pack
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal

@@ -13,9 +13,8 @@ from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.modes import Modes
-from hyperbit.controller.executor.motion.actuation import Actuation
+from hyperbit.controller.executor.motion.actuation import Actuation, Readings
 from hyperbit.controller.executor.motion.program_execution import STARVED, End, ProgramExecution, ProgramResults
-from hyperbit.controller.executor.motion.readings import Readings
 from hyperbit.controller.program import Replacement
 from hyperbit.drivers.canopen.run.commit import BusCommit
 from hyperbit.drivers.canopen.run.heartbeat import Heartbeat

@@ -15,7 +15,7 @@ import zenoh
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.gateway import daemon
-from hyperbit.controller.gateway.claim import AlreadyRunning
+from hyperbit.controller.gateway.daemon import AlreadyRunning
 from hyperbit.controller.host.keeper import FileInUse
 from hyperbit.controller.network.client import Client, Message, Unanswered
 from hyperbit.controller.network.session import configuration

@@ -173,8 +173,7 @@ def reachable(listen: str) -> str:
 
 def serve(file: Path, executor: RunningExecutor, network: Network, ledger: Path | None, *, simulated: bool) -> None:
     """Serves an arm until a signal arrives, or until the executor that this command started ends."""
-    from hyperbit.controller.gateway.claim import AlreadyRunning
-    from hyperbit.controller.gateway.daemon import running
+    from hyperbit.controller.gateway.daemon import AlreadyRunning, running
     from hyperbit.controller.host.keeper import FileInUse
     from hyperbit.controller.network.reach import NoSession
     from hyperbit.controller.planning.ledger_file import default_path

@@ -8,7 +8,6 @@ from hyperbit.drivers.canopen.wiring import Interlock, Timing, Wiring
 
 
 def indices(mask: int) -> Iterator[int]:
-    """Yields the indices of a mask's actuators in ascending order."""
     while mask:
         lowest = mask & -mask
         yield lowest.bit_length() - 1
@@ -88,7 +87,6 @@ class Kinds:
         return outputs & self.paired, mask_of(k for i, k in enumerate(self._pairs) if contracting >> i & 1)
 
     def actuators(self, lines: int) -> int:
-        """Returns the mask of the actuators with one of these output lines."""
         return lines & self.everything | self.on(lines)[1]
 
     def states(self, outputs: int, before: int) -> int:
@@ -118,7 +116,6 @@ class Kinds:
         return merged(self.definite(ends), reads, commanded)
 
     def open(self, inputs: int, known: int) -> list[Interlock]:
-        """Returns the open interlocks among the known input lines."""
         return [self.interlocks[i] for i in indices((known & ~inputs) >> self._first_interlock)]
 
     def _off_lines(self, actuators: int) -> int:

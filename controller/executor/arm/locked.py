@@ -45,7 +45,6 @@ class LockedActuators:
         self.stuck = 0
 
     def aligned(self, states: int) -> int:
-        """Returns `states` with each locked actuator in its locked state."""
         return merged(self.mask, self.states, states)
 
     def realigned(self, outputs: int, most: int) -> int:

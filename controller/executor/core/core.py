@@ -5,49 +5,25 @@ import math
 import traceback
 from collections.abc import Callable
 
+from hyperbit.controller import program
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
-from hyperbit.controller.executor.core.clients import Clients
+from hyperbit.controller.executor.core import events
 from hyperbit.controller.executor.core.ending import Ending
-from hyperbit.controller.executor.core.events import (
-    Action,
-    ClientGone,
-    ClientId,
-    Defect,
-    Event,
-    ExecutorTick,
-    FaultPlayed,
-    FromClient,
-    Health,
-    SendFrame,
-    ToClient,
-)
 from hyperbit.controller.executor.core.modes import CLEARING, Modes
 from hyperbit.controller.executor.core.reports import Reports
-from hyperbit.controller.executor.core.requests import ClientRequests
+from hyperbit.controller.executor.core.requests import ClientRequests, Clients
 from hyperbit.controller.executor.motion.motion import ArmMotion
 from hyperbit.controller.executor.motion.program_execution import ProgramResults
 from hyperbit.controller.host.process import Log, Notify, Quit
-from hyperbit.controller.program import (
-    TICK,
-    VERSION,
-    Acknowledge,
-    Counts,
-    Down,
-    Goodbye,
-    Hello,
-    PlayableFaults,
-    Up,
-    Welcome,
-)
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.run.master import Master
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import FrameEchoed, FrameReceived
 
-LONGEST_TICK = 2 * TICK  # [s], most time that supervision counts for a tick, so that a late tick is no delay
+LONGEST_TICK = 2 * program.TICK  # [s], most time that supervision counts for a tick, so that a late tick is no delay
 DEFECT = ArmFault("internal-error", "executor", "internal error, see the log; the arm holds")
 
 
@@ -67,12 +43,12 @@ class Executor:
         journal: SwitchJournal,
         instance: int,
         watchdog: float | None = None,
-        simulation: PlayableFaults | None = None,
+        simulation: program.PlayableFaults | None = None,
         build_master: Callable[..., Master] = Master,
     ) -> None:
         self.journal = journal
         self._arm, self._instance, self._watchdog, self._simulation = arm, instance, watchdog, simulation
-        self._actions: list[Action] = []
+        self._actions: list[events.Action] = []
         self._master = master = build_master(arm.wiring, arm.timing, self._send)
         self._clients = clients = Clients(arm.name, arm.planner_timeout, self._to_client)
         self._results = ProgramResults(clients.to_planner, journal)
@@ -91,7 +67,6 @@ class Executor:
 
     @property
     def ended(self) -> bool:
-        """Whether the process may end now, after a `Quit`."""
         return self.ending.over
 
     @property
@@ -104,7 +79,7 @@ class Executor:
         """Whether no commit and no procedure with a board is under way, so that the core can be pickled."""
         return self._master.calm and not self.motion.busy
 
-    def step(self, event: Event, now: float) -> list[Action]:
+    def step(self, event: events.Event, now: float) -> list[events.Action]:
         """Handles an event of a bus, a client or the loop; returns the actions in their order.
 
         An exception in one part of a step becomes the fault internal-error, and the arm holds. `now`: on
@@ -127,33 +102,33 @@ class Executor:
         self.modes.report(DEFECT, Log(logging.ERROR, f"internal error\n{text}"))
         self.modes.fail(DEFECT, now)
 
-    def _find_pause(self, event: Event, now: float) -> None:
+    def _find_pause(self, event: events.Event, now: float) -> None:
         """Tests first whether the process has paused: then the waiting events are stale."""
         if self._last_tick is not None and (fault := self._master.find_pause(now)) is not None:
             self.modes.fail(fault, now)
 
-    def _handle(self, event: Event, now: float) -> None:
+    def _handle(self, event: events.Event, now: float) -> None:
         match event:
-            case ExecutorTick():
+            case events.ExecutorTick():
                 self._tick(event, now)
-            case FromClient():
+            case events.FromClient():
                 self._hear(event.client, event.message, now)
-            case Health():
+            case events.Health():
                 self.reports.receive_health(event)
                 self._clients.to_all(self.reports.diagnostics(now))
-            case ClientGone():
+            case events.ClientGone():
                 if self._clients.remove(event.client):
                     self._lose_planner("the planner is gone")
-            case FaultPlayed():
+            case events.FaultPlayed():
                 self._requests.receive_fault_played(event)
-            case Defect():
+            case events.Defect():
                 self._fail(event.text, now)
             case Quit():
                 self._quit(now)
             case _:
                 self._master.receive_event(event, now)
 
-    def _conclude(self, event: Event, now: float) -> None:
+    def _conclude(self, event: events.Event, now: float) -> None:
         """Records what the event has changed on the boards."""
         at = None  # time of its frame on the bus [s]
         if isinstance(event, FrameEchoed | FrameReceived):
@@ -168,7 +143,7 @@ class Executor:
             self.motion.actuation.fault = None
             self.modes.fail(fault, now)
 
-    def _tell(self, event: Event, now: float) -> None:
+    def _tell(self, event: events.Event, now: float) -> None:
         """Answers requests that waited, and publishes changes."""
         if self._requests.held:
             self._requests.answer_held(now)
@@ -177,7 +152,7 @@ class Executor:
 
     # --- time
 
-    def _tick(self, event: ExecutorTick, now: float) -> None:
+    def _tick(self, event: events.ExecutorTick, now: float) -> None:
         if self._last_tick is None:
             self._act(Notify("READY=1"))
             self.modes.notify_status()
@@ -220,30 +195,28 @@ class Executor:
 
     # --- clients
 
-    def _hear(self, client: ClientId, message: Down, now: float) -> None:
+    def _hear(self, client: events.ClientId, message: program.Down, now: float) -> None:
         if client == self._clients.planner:
             self._clients.hear(self.motion.clock)
         match message:
-            case Hello():
-                if self._clients.greet(client, message, self.motion.clock):
-                    self._welcome(client, message.role)
+            case program.Hello():
+                if not self._clients.greet(client, message, self.motion.clock):
+                    return
+                arm, counts, greatest = self._arm, tuple(self.journal.counts), self._requests.greatest
+                known = arm.name, arm.digest, self._instance, counts, greatest, self._simulation
+                self._to_client(client, program.Welcome(program.VERSION, *known))
+                if message.role == "planner":
+                    self._results.send_again()
+                self.reports.changed = True
             case _ if client not in self._clients.roles:
-                self._to_client(client, Goodbye("Hello must be the first message"))
-            case Acknowledge() if client == self._clients.planner:
-                self._results.acknowledge(message.result)
-            case Counts() if client == self._clients.planner:
+                self._to_client(client, program.Goodbye("Hello must be the first message"))
+            case program.Acknowledge() if client == self._clients.planner:
+                self._results.stored.pop(message.result, None)
+            case program.Counts() if client == self._clients.planner:
                 self.journal.raise_to(message.counts)
             case _:
                 self._requests.receive_request(client, message, now)
                 self._advance(now)  # a stage that is due now does not wait for the tick
-
-    def _welcome(self, client: ClientId, role: str) -> None:
-        arm, counts, greatest = self._arm, tuple(self.journal.counts), self._requests.greatest
-        welcome = Welcome(VERSION, arm.name, arm.digest, self._instance, counts, greatest, self._simulation)
-        self._to_client(client, welcome)
-        if role == "planner":
-            self._results.send_again()
-        self.reports.changed = True
 
     def _lose_planner(self, why: str) -> None:
         """Ends the planner's motion, and begins an epoch: the socket may hold requests planned before.
@@ -269,12 +242,12 @@ class Executor:
 
     # --- actions
 
-    def _act(self, action: Action) -> None:
+    def _act(self, action: events.Action) -> None:
         self._actions.append(action)
 
     def _send(self, bus: str, frame: Frame) -> None:
-        self._actions.append(SendFrame(bus, frame))
+        self._actions.append(events.SendFrame(bus, frame))
         self._handed_out = True
 
-    def _to_client(self, client: ClientId, message: Up) -> None:
-        self._actions.append(ToClient(client, message))
+    def _to_client(self, client: events.ClientId, message: program.Up) -> None:
+        self._actions.append(events.ToClient(client, message))

@@ -80,7 +80,6 @@ class Ending:
             modes.hold("done", "", "contracted before the end of the executor")
 
     def abandon(self) -> None:
-        """Ends an incomplete contraction, and says why."""
         if self._contracting:
             self._contracting = False
             modes = self._modes

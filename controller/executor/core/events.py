@@ -38,8 +38,6 @@ class ClientGone(NamedTuple):
 
 
 class FaultPlayed(NamedTuple):
-    """The answer to `ToSimulation`: what was done, or why the fault was refused."""
-
     client: ClientId
     request: int
     message: str

@@ -130,7 +130,6 @@ class Modes:
             self.boot("the boards are back and are being booted", now)
 
     def hold_measured(self, now: float) -> None:
-        """Adopts the measured states and enters mode ready."""
         self._locked.lock_as_measured(self._motion.readings.read, self._motion.readings.definite)
         self._motion.adopt(now)
         self._motion.supervision.accept(self._motion.readings.measured, self._master.known)

@@ -47,7 +47,10 @@ class Reports:
         problem, homing = self._health.journal, motion.readings.homing & self._master.known
         own = () if problem is None else (ArmFault("journal", "executor", problem),)
         every = faults + self._locked.faults() + self._master.warnings() + own
-        every += tuple(self._unknown(k) for k in indices(homing))
+        for k in indices(homing):
+            label, guess = self._arm.actuators[k], STATES[motion.actuation.states >> k & 1]
+            text = f"the state of actuator {label} is unknown: the next goal homes it to {guess} first; or use `jog`"
+            every += (ArmFault("unknown-position", label, text),)
         return Snapshot(
             at=now,
             mode=mode,
@@ -91,8 +94,3 @@ class Reports:
             waits=self._motion.clearances.waits,
             dropped=self._health.dropped,
         )
-
-    def _unknown(self, k: int) -> ArmFault:
-        label, guess = self._arm.actuators[k], STATES[self._motion.actuation.states >> k & 1]
-        text = f"the state of actuator {label} is unknown: the next goal homes it to {guess} first; or use `jog`"
-        return ArmFault("unknown-position", label, text)

@@ -1,11 +1,12 @@
-"""Requests of clients: programs, set-points, cancel, stop, reset, lock, faults to play."""
+"""Clients, and their requests: programs, set-points, cancel, stop, reset, lock, faults to play."""
 
 import logging
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Literal, NamedTuple
 
+from hyperbit.controller import program
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.arm.locked import LockedActuators
-from hyperbit.controller.executor.core.clients import Clients
 from hyperbit.controller.executor.core.events import Act, ClientId, FaultPlayed, ToClient, ToSimulation
 from hyperbit.controller.executor.core.modes import Modes
 from hyperbit.controller.executor.motion.motion import ArmMotion
@@ -17,26 +18,68 @@ from hyperbit.controller.executor.motion.program_execution import (
     checked_states,
 )
 from hyperbit.controller.host.process import Log
-from hyperbit.controller.program import (
-    TICK,
-    Accepted,
-    Answer,
-    Cancel,
-    Clearance,
-    Declined,
-    Down,
-    Goodbye,
-    Lock,
-    PlayFault,
-    Program,
-    Replaced,
-    Replacement,
-    Reset,
-    Setpoint,
-    Stop,
-)
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal, no_motion
+
+Role = Literal["planner", "operator"]
+
+
+class Clients:
+    """The connected clients, at most one planner and operators, and whether the planner is alive."""
+
+    def __init__(self, arm: str, timeout: float, send: Callable[[ClientId, program.Up], None]) -> None:
+        self.planner: ClientId | None = None
+        self.roles: dict[ClientId, Role] = {}  # role of each client that has sent Hello
+        self._arm, self._timeout, self._send = arm, timeout, send
+        self._heard, self._silent = 0.0, False
+
+    def to_planner(self, message: program.Up) -> None:
+        if self.planner is not None:
+            self._send(self.planner, message)
+
+    def to_all(self, message: program.Up) -> None:
+        for client in self.roles:
+            self._send(client, message)
+
+    def greet(self, client: ClientId, hello: program.Hello, clock: float) -> bool:
+        """Returns whether a client is accepted; a refused client gets a Goodbye with the reason."""
+        reason = self._refusal(client, hello)
+        if reason is not None:
+            self._send(client, program.Goodbye(reason))
+            return False
+        self.roles[client] = hello.role
+        if hello.role == "planner":
+            self.planner = client
+            self.hear(clock)
+        return True
+
+    def hear(self, clock: float) -> None:
+        self._heard, self._silent = clock, False
+
+    def fell_silent(self, clock: float) -> bool:
+        """Returns True once when a connected planner has been silent for longer than `timeout`."""
+        if self.planner is None or self._silent or clock - self._heard < self._timeout:
+            return False
+        self._silent = True
+        return True
+
+    def remove(self, client: ClientId) -> bool:
+        self.roles.pop(client, None)
+        if client != self.planner:
+            return False
+        self.planner = None
+        return True
+
+    def _refusal(self, client: ClientId, hello: program.Hello) -> str | None:
+        if client in self.roles:
+            return "Hello was sent before"
+        if hello.version != program.VERSION:
+            return f"the executor speaks version {program.VERSION} of the contract, this client version {hello.version}"
+        if hello.arm not in (self._arm, "") or (hello.role == "planner" and hello.arm != self._arm):
+            return f"this is the executor of arm {self._arm}, not of {hello.arm[:100]!r}"
+        if hello.role == "planner" and self.planner is not None:
+            return f"a planner is connected already, process {self.planner.pid}; only one may drive the arm"
+        return None
 
 
 class HeldAnswer(NamedTuple):
@@ -65,35 +108,35 @@ class ClientRequests:
         self._program = self._stream = 0  # greatest numbers so far
         self.held: list[HeldAnswer] = []  # delayed answers
         # longest wait of an answer, rounded down to a tick [s]
-        self._longest = arm.timing.heartbeat_timeout / 2 - 2 * TICK
+        self._longest = arm.timing.heartbeat_timeout / 2 - 2 * program.TICK
 
     @property
     def greatest(self) -> int:
         return max(self._program, self._stream)
 
-    def receive_request(self, client: ClientId, message: Down, now: float) -> None:
+    def receive_request(self, client: ClientId, message: program.Down, now: float) -> None:
         """Carries out a request, and answers it now or as soon as nothing switches any more."""
-        if self._clients.roles[client] == "operator" and not isinstance(message, Stop):
-            self._act(ToClient(client, Goodbye("an operator may only stop the arm")))
+        if self._clients.roles[client] == "operator" and not isinstance(message, program.Stop):
+            self._act(ToClient(client, program.Goodbye("an operator may only stop the arm")))
             return
         match message:
-            case Program():
+            case program.Program():
                 self._receive_program(message, now)
-            case Replacement():
+            case program.Replacement():
                 self._replace(message)
-            case Setpoint():
+            case program.Setpoint():
                 self._follow(message, now)
-            case Clearance():
+            case program.Clearance():
                 self._motion.clearances.receive_answer(message)
-            case Cancel():
+            case program.Cancel():
                 self._cancel(client, message, now)
-            case Stop():
+            case program.Stop():
                 self._stop(client, message, now)
-            case Reset():
+            case program.Reset():
                 self._reset(client, message, now)
-            case Lock():
+            case program.Lock():
                 self._lock(client, message, now)
-            case PlayFault():
+            case program.PlayFault():
                 if self._modes.simulated:
                     self._act(ToSimulation(client, message.request, message.fault))
                 else:
@@ -101,17 +144,17 @@ class ClientRequests:
 
     # --- programs and set-points
 
-    def _receive_program(self, message: Program, now: float) -> None:
+    def _receive_program(self, message: program.Program, now: float) -> None:
         refusal = self._refusal(message, now)
         if refusal is not None:
-            self._clients.to_planner(Declined(message.program, refusal.data))
+            self._clients.to_planner(program.Declined(message.program, refusal.data))
             return
         self._program = message.program
         begin = message.begin or now
         self._modes.run(ProgramExecution(message, begin, self._locked))
-        self._clients.to_planner(Accepted(message.program, begin))
+        self._clients.to_planner(program.Accepted(message.program, begin))
 
-    def _refusal(self, message: Program, now: float) -> Refusal | None:
+    def _refusal(self, message: program.Program, now: float) -> Refusal | None:
         if self.quitting:
             return Refusal(Reason.EXECUTOR_SHUTTING_DOWN)
         if self._modes.mode not in ("ready", "executing"):
@@ -137,7 +180,7 @@ class ClientRequests:
             return Refusal(Reason.MOVED_SINCE_PLANNED)
         return None
 
-    def _replace(self, message: Replacement) -> None:
+    def _replace(self, message: program.Replacement) -> None:
         execution = self._motion.execution
         accepted = execution is not None and execution.program.program == message.program
         if execution is not None and accepted:
@@ -147,9 +190,9 @@ class ClientRequests:
             except StageMisfit as misfit:
                 accepted = False
                 self._act(Log(logging.INFO, f"replacement of {execution.program.name} refused: {misfit}"))
-        self._clients.to_planner(Replaced(message.program, message.generation, accepted))
+        self._clients.to_planner(program.Replaced(message.program, message.generation, accepted))
 
-    def _follow(self, message: Setpoint, now: float) -> None:
+    def _follow(self, message: program.Setpoint, now: float) -> None:
         """Follows a set-point; ignores one of an earlier stream or epoch."""
         old = message.stream <= self._program or message.stream < self._stream or message.epoch != self._modes.epoch
         if old or self.quitting or now > message.until or self._modes.mode not in ("ready", "executing"):
@@ -164,7 +207,7 @@ class ClientRequests:
 
     # --- cancel, stop, reset, lock
 
-    def _cancel(self, client: ClientId, message: Cancel, now: float) -> None:
+    def _cancel(self, client: ClientId, message: program.Cancel, now: float) -> None:
         execution, followed = self._motion.execution, self._motion.stream is not None
         if message.program is not None and (execution is None or execution.program.program != message.program):
             self._answer(client, message.request, f"program {message.program} is not running")
@@ -176,8 +219,7 @@ class ClientRequests:
         self._hold_answer(client, message.request, *done, now)
         self._modes.hold("canceled", message.reason or "canceled; the arm holds", f"holding; {name} was canceled")
 
-    def _stop(self, client: ClientId, message: Stop, now: float) -> None:
-        """Stops: nothing moves until a reset."""
+    def _stop(self, client: ClientId, message: program.Stop, now: float) -> None:
         self._modes.new_epoch()
         self._hold_answer(client, message.request, "stopped", "the arm holds until reset", now)
         self._modes.hold(
@@ -208,7 +250,7 @@ class ClientRequests:
             if held.client in self._clients.roles:
                 self._answer(held.client, held.request, text)
 
-    def _reset(self, client: ClientId, message: Reset, now: float) -> None:
+    def _reset(self, client: ClientId, message: program.Reset, now: float) -> None:
         if self._modes.mode not in ("fault", "stopped"):
             self._answer(client, message.request, f"nothing to reset: the arm is {self._modes.mode}")
             return
@@ -223,7 +265,7 @@ class ClientRequests:
         self._modes.boot("the boards are being booted after a reset", now)
         self._answer(client, message.request, "resetting; the mode will be ready, or fault with the reason")
 
-    def _lock(self, client: ClientId, message: Lock, now: float) -> None:
+    def _lock(self, client: ClientId, message: program.Lock, now: float) -> None:
         motion = self._motion
         refusal = self._locked.refusal(message.actuator, message.state, motion.readings.read, motion.readings.definite)
         mode = self._modes.mode
@@ -249,10 +291,10 @@ class ClientRequests:
             self._refuse(event.client, event.request, Refusal(Reason.NO_SUCH_FAULT, why=event.message))
 
     def _answer(self, client: ClientId, request: int, message: str) -> None:
-        self._act(ToClient(client, Answer(request, message[:1_000])))
+        self._act(ToClient(client, program.Answer(request, message[:1_000])))
 
     def _refuse(self, client: ClientId, request: int, refusal: Refusal) -> None:
-        self._act(ToClient(client, Answer(request, str(refusal), refusal.data)))
+        self._act(ToClient(client, program.Answer(request, str(refusal), refusal.data)))
 
 
 def _switches(number: int) -> str:

@@ -1,10 +1,15 @@
-"""Actuation: the single owner of output commands, pulses, the inrush limit, rest times and switch counts."""
+"""Actuation: the single owner of output commands, pulses, the inrush limit, rest times and switch counts; its readings.
+
+Readings are of end-stops and outputs: states of actuators and interlocks, and travel times.
+"""
 
 import math
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
-from hyperbit.controller.executor.arm.kinds import Kinds, indices, mask_of, merged
+from hyperbit.controller.executor.arm.kinds import Ends, Kinds, indices, mask_of, merged
+from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
+from hyperbit.controller.program import Travel, pack
 from hyperbit.drivers.canopen.faults import ArmFault, Busy
 from hyperbit.drivers.canopen.run.master import Master
 
@@ -138,7 +143,13 @@ class Actuation:
         untold = indices(self._watched & on & ~self.told)
         due = [k for k in untold if now >= max(self._pulse_ends[k], self._adopted_at) + LATE]
         self.told |= mask_of(due)
-        return [self._overdue(k) for k in due]
+        faults = list[ArmFault]()
+        for k in due:
+            it = self._arm.wiring.channels[k]
+            text = f"the pulse of actuator {it.place} could not be ended in time: its coil may be on"
+            advice = f"it is switched off again until it reads off; cut the power of {it.bus}/{it.node} meanwhile"
+            faults.append(ArmFault("pulse-overdue", it.place, f"{text}; {advice}"))
+        return faults
 
     def record_switched(self, lines: int, now: float) -> int:
         """Records that the SYNC of output lines was sent; returns the mask of the moving actuators."""
@@ -221,12 +232,6 @@ class Actuation:
             self.missed |= self._kinds.actuators(missed) & ~self._kinds.actuators(self._master.outputs)
             self.uncertain |= self.missed
 
-    def _overdue(self, k: int) -> ArmFault:
-        channel = self._arm.wiring.channels[k]
-        text = f"the pulse of actuator {channel.place} could not be ended in time: its coil may be on"
-        advice = f"it is switched off again until it reads off; cut the power of {channel.bus}/{channel.node} meanwhile"
-        return ArmFault("pulse-overdue", channel.place, f"{text}; {advice}")
-
     def _find_rebooted(self) -> int:
         """Returns the mask of the paired actuators whose board has restarted since the last adoption."""
         before, self._boots = self._boots, tuple(self._master.boots)
@@ -247,3 +252,87 @@ class Actuation:
         if now - self.busy_since > BUSY_FOR:
             self.fault = ArmFault("bus-busy", "bus", f"no command could be sent for {BUSY_FOR:g} s: {why}")
             self.busy_since = None
+
+
+class Readings:
+    """The present knowledge of the A actuators of an arm; changes nothing."""
+
+    def __init__(self, master: Master, kinds: Kinds, actuation: Actuation, locked: LockedActuators) -> None:
+        self._master, self._kinds, self._actuation, self._locked = master, kinds, actuation, locked
+        self._actuators = len(kinds.travel)
+
+    @property
+    def ends(self) -> Ends:
+        return self._kinds.ends(self._master.ends)
+
+    @property
+    def read(self) -> int:
+        """States from the end-stops, otherwise the commanded ones; 0 where the board is not operational."""
+        return self._kinds.measured(self.ends, self._actuation.states) & self._master.known
+
+    @property
+    def definite(self) -> int:
+        return self._kinds.definite(self.ends) & self._master.known
+
+    @property
+    def measured(self) -> int:
+        """As `read`, but the locked state for a locked actuator without an end-stop."""
+        return merged(self._locked.mask & ~self._kinds.sensed, self._locked.states, self.read)
+
+    @property
+    def known(self) -> int:
+        return self._master.known & ~self.homing
+
+    @property
+    def homing(self) -> int:
+        """Mask of the actuators of unknown state, which the next program homes first."""
+        return self._actuation.uncertain & ~self._locked.mask
+
+    def packed(self) -> tuple[bytes, bytes]:
+        known = self.known
+        return pack(self.measured & known, self._actuators), pack(known, self._actuators)
+
+    def interlock_faults(self) -> list[ArmFault]:
+        opened = self._kinds.open(self._master.ends, self._master.inputs_known)
+        places = (f"{lock.name} ({lock.bus}/{lock.node} input {lock.input})" for lock in opened)
+        return [ArmFault("interlock", place, f"interlock {place} is open: close it, then reset") for place in places]
+
+
+class TravelTimes:
+    """Measures travel times from the SYNC that switched an actuator to the frame that reports its end-stop.
+
+    Times are those of the frames on the bus, so that a late loop measures the same. A travel is not measured if its
+    SYNC is not echoed, if its end-stop is read by SDO, or if the end-stop reads 1 from the beginning. `travelling` are
+    the masks of the actuators with a measured travel to the contracted, and to the extended end.
+    """
+
+    def __init__(self) -> None:
+        self.travelling = [0, 0]
+        self._begun: dict[int, float] = {}
+
+    def begin(self, mask: int, states: int, ends: Ends, at: float | None) -> None:
+        """Records that actuators were switched to `states`, at a time on the bus [s]; None: unknown.
+
+        `ends`: before the switch.
+        """
+        self.forget(mask)
+        if at is None:
+            return
+        for k in indices(mask):
+            self._begun[k] = at
+        self.travelling[0] |= mask & ~states & ~ends.contracted
+        self.travelling[1] |= mask & states & ~ends.extended
+
+    def forget(self, mask: int) -> None:
+        self.travelling = [going & ~mask for going in self.travelling]
+
+    def drain_arrived(self, ends: Ends, at: float | None) -> list[Travel]:
+        """Returns the travels ended since the last call, by a frame of the time `at` [s]; None: unknown."""
+        arrived = self.travelling[0] & ends.contracted | self.travelling[1] & ends.extended
+        if not arrived:
+            return []
+        extended = self.travelling[1]
+        self.forget(arrived)
+        if at is None:
+            return []
+        return [Travel(k, extended >> k & 1, max(at - self._begun[k], 0.0)) for k in indices(arrived)]

@@ -6,7 +6,7 @@ from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.arm.kinds import Kinds, first, merged
 from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
-from hyperbit.controller.executor.motion.actuation import Actuation
+from hyperbit.controller.executor.motion.actuation import Actuation, Readings, TravelTimes
 from hyperbit.controller.executor.motion.motion_supervision import MotionSupervision
 from hyperbit.controller.executor.motion.program_execution import (
     EPSILON,
@@ -15,7 +15,6 @@ from hyperbit.controller.executor.motion.program_execution import (
     ProgramResults,
     SetpointStream,
 )
-from hyperbit.controller.executor.motion.readings import Readings, TravelTimes
 from hyperbit.controller.program import MOST_TRAVELS, Begun, Clearance, Question, Settled, Up, pack
 from hyperbit.drivers.canopen.run.master import Master
 
@@ -97,11 +96,9 @@ class ArmMotion:
 
     @property
     def committing(self) -> bool:
-        """Whether frames of a commit still wait to be sent."""
         return self.busy and self._master.committing
 
     def adopt(self, now: float) -> None:
-        """Adopts the present outputs and end-stops; switches nothing."""
         self._travel_times.forget(-1)
         self.actuation.adopt(self.readings.read, self.readings.definite, now)
 
@@ -139,7 +136,6 @@ class ArmMotion:
             self.send_result()
 
     def send_result(self) -> None:
-        """Sends the result of an ended program, once."""
         if self._ended is not None:
             execution, status, message = self._ended
             self._ended = None
@@ -168,7 +164,7 @@ class ArmMotion:
             travels = self._travel_times.drain_arrived(self.readings.ends, at)
             if running is not None and len(running.travels) < MOST_TRAVELS:
                 running.travels += travels
-        reached = self.actuation.conclude(now) if self.busy else None
+        reached = None if self.actuation.target is None else self.actuation.conclude(now)
         if self._ended is not None and not self.committing:
             self.send_result()
         if reached is not None and self._index != REALIGNMENT:
@@ -218,7 +214,6 @@ class ArmMotion:
         return True
 
     def _advance_program(self, execution: ProgramExecution, now: float) -> End | None:
-        """Begins the due stage of a program; returns an end if the program cannot continue."""
         index = None if self.busy else execution.due(now, self.actuation.states, self._arm.most)
         if index is None:
             return None
@@ -233,7 +228,6 @@ class ArmMotion:
         return End("aborted", f"{why}; the arm holds", f"holding; {execution.program.name} was aborted: {why}")
 
     def _advance_stream(self, stream: SetpointStream, now: float) -> End | None:
-        """Begins the due stage of a stream; returns an end if the stream has stopped."""
         if now > stream.until:
             return End("canceled", "", "holding; the stream of setpoints has stopped")
         if self.busy or (stream.stages and not self._realign(self.kinds.everything, stream.start, now)):

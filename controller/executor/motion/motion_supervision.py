@@ -57,7 +57,14 @@ class MotionSupervision:
 
     def record_switched(self, mask: int, states: int, clock: float, now: float) -> None:
         ends = self._ends
-        self._count_missed(mask, ends, clock, now)
+        # A command that is reversed after the travel time, although the end-stop has not changed, was missed.
+        missed = (self._confirms & self._awaited(ends)) | self._at_other_end(ends)
+        for k in indices(mask & self._pending & missed & ~self._reported):
+            if clock - self._switched_at[k] >= self._travel(k):
+                self._missed[k] += 1
+                if self._missed[k] >= MOST_MISSED and not self._suspect >> k & 1:
+                    self._suspect |= 1 << k
+                    self._question(k, now)
         self._commanded = merged(mask, states, self._commanded)
         self._commanded_known |= mask
         self._pending |= mask
@@ -101,8 +108,11 @@ class MotionSupervision:
         readable = known & self._commanded_known
         late = self._late(ends) & readable
         both = ends.extended & ends.contracted & known
-        if ends != self._last:
-            self._forgive(ends)
+        if ends != self._last:  # the missed commands of actuators whose end-stops have changed are forgotten
+            for k in indices((ends.extended ^ self._last.extended) | (ends.contracted ^ self._last.contracted)):
+                self._missed[k] = 0
+                self._suspect &= ~(1 << k)
+            self._last = ends
         if not (late | both | self._pending | self._suspect | self._strayed | self._doubtful):
             return []  # at rest
         broken, self._doubtful = self._confirm(both, self._doubtful, now)
@@ -120,7 +130,6 @@ class MotionSupervision:
         ]
 
     def _travel(self, k: int) -> float:
-        """Returns the longest travel time of an actuator to its commanded end [s]."""
         return self._kinds.travel[k][self._commanded >> k & 1]
 
     def _awaited(self, ends: Ends) -> int:
@@ -135,7 +144,9 @@ class MotionSupervision:
 
     def _late(self, ends: Ends) -> int:
         """Returns the mask of the actuators whose end-stops contradict the commanded state."""
-        return self._awaited(ends) | self._at_other_end(ends)
+        extended = (self._kinds.ends_extended & ~ends.extended) | ends.contracted
+        contracted = (self._kinds.ends_contracted & ~ends.contracted) | ends.extended
+        return merged(self._commanded, extended, contracted)
 
     def _confirm(self, suspects: int, asked: int, now: float) -> tuple[int, int]:
         """Asks the boards of actuators with unexpected end-stop readings for their inputs, once.
@@ -175,23 +186,6 @@ class MotionSupervision:
         self._suspect &= ~mask
         self._pending &= ~mask
         return mask
-
-    def _count_missed(self, mask: int, ends: Ends, clock: float, now: float) -> None:
-        """Counts commands that are reversed after the travel time although the end-stop has not changed."""
-        missed = (self._confirms & self._awaited(ends)) | self._at_other_end(ends)
-        for k in indices(mask & self._pending & missed & ~self._reported):
-            if clock - self._switched_at[k] >= self._travel(k):
-                self._missed[k] += 1
-                if self._missed[k] >= MOST_MISSED and not self._suspect >> k & 1:
-                    self._suspect |= 1 << k
-                    self._question(k, now)
-
-    def _forgive(self, ends: Ends) -> None:
-        """Forgets the missed commands of actuators whose end-stops have changed."""
-        for k in indices((ends.extended ^ self._last.extended) | (ends.contracted ^ self._last.contracted)):
-            self._missed[k] = 0
-            self._suspect &= ~(1 << k)
-        self._last = ends
 
     def _question(self, actuator: int, now: float) -> None:
         """Asks the boards of an actuator's end-stops for their inputs, again after running questions."""

@@ -225,10 +225,8 @@ class SetpointStream:
 
 
 class ProgramResults:
-    """Sends the results of programs, and stores them until the planner acknowledges them."""
-
     def __init__(self, send: Callable[[Up], None], journal: SwitchJournal) -> None:
-        self.stored: dict[int, Ended] = {}
+        self.stored: dict[int, Ended] = {}  # by number
         self._send, self._journal = send, journal
         self._number = 0
 
@@ -254,13 +252,9 @@ class ProgramResults:
         self.send_counts()
         self._send(result)
 
-    def acknowledge(self, number: int) -> None:
-        self.stored.pop(number, None)
-
     def send_counts(self) -> None:
         self._send(Counted(tuple(self._journal.counts)))
 
     def send_again(self) -> None:
-        """Sends all stored results to a planner that has just connected."""
         for result in self.stored.values():
             self._send(result)

@@ -71,13 +71,11 @@ class CanBuses:
         return events
 
     def send_frame(self, bus: str, frame: Frame, now: float) -> None:
-        """Sends a frame; an event tells whether it was sent."""
         why = self._buses[bus].send_frame(frame)
         if why is not None:
             self._waiting.append(SendFailed(bus, frame, why))
 
     def play_fault(self, text: str) -> str:
-        """Raises ValueError, as simulated boards do for an unknown fault."""
         raise ValueError("the boards are real: faults are played in simulated boards only")
 
     def close(self) -> None:

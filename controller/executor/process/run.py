@@ -13,24 +13,13 @@ from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from hyperbit.controller.executor.core import events
 from hyperbit.controller.executor.core.core import Executor
-from hyperbit.controller.executor.core.events import (
-    Action,
-    Defect,
-    Event,
-    ExecutorTick,
-    FaultPlayed,
-    Health,
-    SendFrame,
-    ToClient,
-    ToSimulation,
-)
 from hyperbit.controller.executor.process.buses import CanBuses
 from hyperbit.controller.executor.process.server import ExecutorServer
 from hyperbit.controller.flight_recorder import FlightRecorder
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.host.process import Log, Notify, Quit
-from hyperbit.controller.host.signals import ENDING, end_on_signals, ignore
 from hyperbit.controller.program import TICK
 
 if TYPE_CHECKING:
@@ -71,7 +60,7 @@ class EventLoop:
         self._time = Timekeeper(TICK)
         self._garbage = Garbage()
         self._quitting = False
-        self._queued = deque[Action]()
+        self._queued = deque[events.Action]()
         self._wake, self._woken = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
     def quit(self) -> None:
@@ -90,11 +79,6 @@ class EventLoop:
                 self._round()
             self._end()
 
-    def run_until_signal(self) -> None:
-        end_on_signals(self.quit)
-        self.run()
-        ignore(ENDING)  # a second signal, such as that of a parent's death, must not interrupt the end
-
     def _may_report(self, now: float) -> bool:
         return bool(self._queued) and not self._core.collecting and not self._time.tick_is_near(now)
 
@@ -111,7 +95,7 @@ class EventLoop:
             if not ready and self._may_report(self._clock()):
                 self._report(self._queued.popleft())
         except Exception:  # the arm holds, and the boards keep their master
-            self._step(Defect(traceback.format_exc()))
+            self._step(events.Defect(traceback.format_exc()))
 
     def _wait(self) -> list[int]:
         """Waits for a readable or writable file descriptor or the tick; returns the readable ones."""
@@ -128,33 +112,32 @@ class EventLoop:
         return read
 
     def _receive_frames(self) -> None:
-        """Handles events of the buses until there are no more, or the tick is due."""
         for _ in range(MOST_ROUNDS):
-            events = self._buses.poll(self._clock())
-            for event in events:
+            arrived = self._buses.poll(self._clock())
+            for event in arrived:
                 self._step(event)
-            if not events or self._time.remaining(self._clock()) <= 0:
+            if not arrived or self._time.remaining(self._clock()) <= 0:
                 return
 
     def _tick(self, began: float) -> None:
         self._report_all()
         if self._core.reports.diagnostics_due(began + SOON):
-            self._step(Health(self._time.drain_figures(), self._server.dropped, self._core.journal.problem))
-        self._step(ExecutorTick())
+            self._step(events.Health(self._time.drain_figures(), self._server.dropped, self._core.journal.problem))
+        self._step(events.ExecutorTick())
         self._receive_frames()
         self._time.ticked(began, self._clock())
         if self._recorder is not None:
             self._recorder.flush()
         self._garbage.collect(self._core.modes.mode != "executing")
 
-    def _step(self, event: Event) -> None:
+    def _step(self, event: events.Event) -> None:
         """Passes an event to the core, sends its frames, and queues its other actions for `_report`."""
         now = self._clock()
-        actions: list[Action] | None = None
+        actions: list[events.Action] | None = None
         try:
             actions = self._core.step(event, now)
             for action in actions:
-                if isinstance(action, SendFrame):
+                if isinstance(action, events.SendFrame):
                     self._buses.send_frame(action.bus, action.frame, self._clock())
                 else:
                     self._queued.append(action)
@@ -167,16 +150,16 @@ class EventLoop:
         spare = self._time.remaining(self._clock()) > CHECKPOINTING
         return spare and self._core.calm and (self._core.modes.mode != "executing" or count >= CHECKPOINT_AT)
 
-    def _report(self, action: Action) -> None:
+    def _report(self, action: events.Action) -> None:
         match action:
-            case ToClient():
+            case events.ToClient():
                 self._server.send_message(action.client, action.message)
-            case ToSimulation():
+            case events.ToSimulation():
                 try:
                     text, played = self._buses.play_fault(action.fault), True
                 except ValueError as error:
                     text, played = str(error), False
-                self._step(FaultPlayed(action.client, action.request, text, played))
+                self._step(events.FaultPlayed(action.client, action.request, text, played))
             case Notify():
                 self._notifier.notify(action.text)
             case Log():
@@ -220,7 +203,6 @@ class Timekeeper:
         self._next = self._last = now
 
     def remaining(self, now: float) -> float:
-        """Returns the time until the next tick [s], 0 if it is due."""
         return max(self._next - now, 0.0)
 
     def tick_is_near(self, now: float) -> bool:

@@ -10,19 +10,9 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Literal
 
+from hyperbit.controller import program
 from hyperbit.controller.executor.core.events import ClientGone, ClientId, FromClient
 from hyperbit.controller.host.keeper import lock_file
-from hyperbit.controller.program import (
-    MOST_BYTES,
-    Diagnostics,
-    Goodbye,
-    Hello,
-    Malformed,
-    Snapshot,
-    Up,
-    decode_down,
-    encode,
-)
 
 log = logging.getLogger(__name__)
 BACKLOG = 128  # connections that wait to be accepted
@@ -104,7 +94,7 @@ class ExecutorServer:
         self._path, self._number = path, 0
         self._connections: dict[ClientId, ClientConnection] = {}
         self._gone: list[ClientId] = []
-        self._buffer = memoryview(bytearray(MOST_BYTES + 1))
+        self._buffer = memoryview(bytearray(program.MOST_BYTES + 1))
         self._lock = lock_file(path.with_name(path.name + ".lock"), f"an executor is running on {path}, process")
         path.unlink(missing_ok=True)
         self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
@@ -138,17 +128,17 @@ class ExecutorServer:
         self._gone = []
         return events
 
-    def send_message(self, client: ClientId, message: Up) -> None:
+    def send_message(self, client: ClientId, message: program.Up) -> None:
         connection = self._connections.get(client)
         if connection is None or connection.closing:
             return
-        data = encode(message)
-        telemetry = isinstance(message, Snapshot | Diagnostics)
-        if len(data) > MOST_BYTES or (telemetry and connection.waiting):
+        data = program.encode(message)
+        telemetry = isinstance(message, program.Snapshot | program.Diagnostics)
+        if len(data) > program.MOST_BYTES or (telemetry and connection.waiting):
             self.dropped += 1
             return
         connection.waiting.append(data)
-        connection.closing = isinstance(message, Goodbye)
+        connection.closing = isinstance(message, program.Goodbye)
         if not connection.flush() or len(connection.waiting) > MOST_QUEUED:
             self._drop(connection)
 
@@ -169,7 +159,6 @@ class ExecutorServer:
         os.close(self._lock)
 
     def _accept(self, events: list[FromClient | ClientGone], now: float) -> None:
-        """Accepts waiting connections, reads each at once, and makes room for it."""
         for _ in range(MOST_ACCEPTED):
             try:
                 connected, _ = self._listening.accept()
@@ -203,13 +192,13 @@ class ExecutorServer:
                 self._drop(connection)
                 return
             try:
-                message = decode_down(bytes(self._buffer[:size]))
-            except Malformed as error:
+                message = program.decode_down(bytes(self._buffer[:size]))
+            except program.Malformed as error:
                 self._warn(f"process {connection.client.pid}: {error}", self._clock())
-                self.send_message(connection.client, Goodbye(str(error)[:1_000]))
+                self.send_message(connection.client, program.Goodbye(str(error)[:1_000]))
                 return
             if not connection.closing:
-                if isinstance(message, Hello):
+                if isinstance(message, program.Hello):
                     connection.role = message.role
                 events.append(FromClient(connection.client, message))
 

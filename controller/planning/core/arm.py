@@ -1,23 +1,18 @@
 """The latest state of the executor: its snapshot in the planner's terms, the mode and the connection."""
 
-from __future__ import annotations
-
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.motion.stages.pacing import Pace
 from hyperbit.controller.motion.stages.program import pack_states, unpack_states
 from hyperbit.controller.planning.core.events import Payload
 from hyperbit.controller.planning.core.tasks import ArmStart
 from hyperbit.controller.program import Diagnostics, Ended, Mode, Settled, Snapshot, Welcome
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal, no_motion
-
-if TYPE_CHECKING:
-    from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
-    from hyperbit.controller.motion.stages.pacing import Pace
 
 States = NDArray[np.uint8]
 Measured = NDArray[np.int8]  # actuator states, -1 unknown
@@ -30,7 +25,6 @@ def measured_states(measured: bytes, known: bytes, actuators: int) -> Measured:
 
 
 def packed(states: NDArray[np.generic]) -> bytes:
-    """Returns actuator states (A,) in the executor's packing."""
     return np.packbits(states.astype(np.uint8), bitorder="little").tobytes()
 
 
@@ -111,11 +105,6 @@ class ArmState:
     def unknown_state(self) -> str | None:
         """Why the resting arm is in no configuration; None if it is in one, moves, or a board is missing."""
         return self._spelled if isinstance(self._spelled, str) and not self.snapshot.moving else None
-
-    @cached_property
-    def locked_states(self) -> bytes:
-        """The state in which each actuator is locked, as in `Tables`; 255 if it is free or unknown."""
-        return np.where(self.locked, self.measured, -1).astype(np.int8).tobytes()
 
     def pack(self, stages: States) -> list[bytes]:
         """Returns stages (k, A) packed for the executor, which sets the bits of locked actuators itself."""

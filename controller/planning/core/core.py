@@ -1,23 +1,22 @@
 """The core of the planner: takes events and returns actions. It has no clock, no I/O, no threads and no search."""
 
-from __future__ import annotations
-
 import logging
 import math
 import traceback
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from hyperbit.controller import program
+from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.host.process import Log, Quit
+from hyperbit.controller.motion.stages.pacing import Pace
 from hyperbit.controller.motion.tracking.tracking import tracking_of
 from hyperbit.controller.planning.core import events
 from hyperbit.controller.planning.core.arm import ExecutorView
 from hyperbit.controller.planning.core.goals import Goals
-from hyperbit.controller.planning.core.locks import Locks
 from hyperbit.controller.planning.core.obstacles import ObstacleOwner
 from hyperbit.controller.planning.core.parts import Parts
-from hyperbit.controller.planning.core.premises import Premises, TipBiasEstimator
+from hyperbit.controller.planning.core.premises import Locks, Premises, TipBiasEstimator
 from hyperbit.controller.planning.core.programs import Programs
 from hyperbit.controller.planning.core.requests import ExecutorRequests, Queries
 from hyperbit.controller.planning.core.results import Results
@@ -27,10 +26,6 @@ from hyperbit.controller.planning.core.tasks import ImprovePlan, Planned, Tables
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.method import MINIMUM_SWITCH
-
-if TYPE_CHECKING:
-    from hyperbit.controller.arm.arm import Arm
-    from hyperbit.controller.motion.stages.pacing import Pace
 
 # Opaque fields for the core; the flight recorder omits them.
 OPAQUE: dict[type, str] = {Tables: "solvers", VersionedScene: "keep_out", ImprovePlan: "plan", Planned: "plan"}
@@ -169,10 +164,9 @@ class Core:
             self._act(events.Reply(request.number, events.refused(Refusal(Reason.INTERNAL_ERROR))))
 
     def _live(self) -> events.Payload:
-        """Returns the fields of the arm's description that change."""
         state, goal = self._view.state, self._programs.current
         faults = () if state is None else state.snapshot.faults
-        waypoints = () if goal is None or goal.report is None else goal.report.waypoints
+        waypoints = () if goal is None or goal.report is None else goal.report.waypoints()
         return {
             "limits": [fault.message for fault in faults if fault.code == "board-limits"],
             "sent_obstacles": self._obstacles.regions,

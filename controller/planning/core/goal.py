@@ -1,28 +1,144 @@
-"""A goal or jog from its arrival to its result, and the program that carries it out."""
-
-from __future__ import annotations
+"""A goal or jog from its arrival to its result: its record, its program, and what is told about it on the way."""
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
 
 from hyperbit.controller.armfile.locks import STATES
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.notation import format_configuration, pose
 from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
-from hyperbit.controller.motion.stages.feed import Feed, PlannedPoint, Route
+from hyperbit.controller.motion.stages.feed import Feed, PlannedPoint, PlanProof, Route
 from hyperbit.controller.motion.stages.program import delay_of, in_groups
-from hyperbit.controller.planning.core.arm import ArmState, States, packed
-from hyperbit.controller.planning.core.events import done
+from hyperbit.controller.motion.targets import GoalTarget, measured_pose
+from hyperbit.controller.motion.trajectory import Trajectory
+from hyperbit.controller.planning.core.arm import ArmState, Measured, States, packed
+from hyperbit.controller.planning.core.events import Payload, done
 from hyperbit.controller.planning.core.parts import Parts, Ticket
-from hyperbit.controller.planning.core.reports import Context, GoalOutcome, GoalReport
 from hyperbit.controller.planning.core.tasks import Basis, Planned
 from hyperbit.controller.program import Ended, Program, Settled
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 
 MOST_CONTEXT = 8_192  # bytes, limit of the executor's contract
+
+
+class Context(msgspec.Struct, frozen=True, omit_defaults=True):
+    """Data for the result of a goal or jog; the executor returns it with the result."""
+
+    id: str
+    waypoints: int = 1  # their number
+    last_mark: int = 0  # mark of the last waypoint; the next five fields describe it, as in `GoalTarget`
+    position: list[float] = []  # empty for a jog, which has no target
+    tolerance: float = 0.0
+    rotation: list[float] = []  # nine numbers, row by row; empty: any orientation serves
+    angle_tolerance: float = 0.0
+    configuration: str | None = None
+    bias: list[float] | None = None  # tip bias by which the goal was corrected; None: no tracker
+    sent: float = 0.0  # time at which the program was made [UNIX s]
+    proof: PlanProof | None = None  # of the plan; None for a jog
+    jogged: dict[int, int] = {}  # new state of each actuator of a jog, by index
+
+    @property
+    def target(self) -> GoalTarget | None:
+        if not self.position:
+            return None
+        rotation = np.array(self.rotation).reshape(3, 3) if self.rotation else None
+        angle = self.angle_tolerance if self.rotation else np.inf
+        return GoalTarget(np.array(self.position), self.tolerance, rotation, angle, self.configuration)
+
+
+class GoalOutcome(NamedTuple):  # the end of a goal for its result
+    status: str
+    code: int
+    message: str
+    sentence: str = ""  # on what the arm does then
+
+
+class GoalReport:
+    def __init__(self, manipulator: Manipulator, goal: str, trajectory: Trajectory) -> None:
+        self.count, self.reached = len(trajectory.waypoints), 0  # waypoints, and those of them that have settled
+        self.point = -1  # that the arm moves to or is at; -1 before the first
+        self._manipulator, self._goal, self._trajectory = manipulator, goal, trajectory
+        self._stages = 0  # since the waypoint before
+        self._deviation: float | None = 0.0  # greatest one since the waypoint before; None: not known
+
+    def context(self, sent: float, proof: PlanProof) -> Context:
+        last, bias = len(self._trajectory.times) - 1, self._trajectory.bias
+        target = self.target(last)
+        rotation = [] if target.rotation is None else target.rotation.ravel().tolist()
+        angle, numbers = target.angle_tolerance if rotation else 0.0, None if bias is None else bias.tolist()
+        where = target.position.tolist(), target.tolerance, rotation, angle, target.configuration
+        return Context(self._goal, self.count, last, *where, numbers, sent, proof)
+
+    def present(self) -> Payload:
+        """Returns the waypoint, None before the first, and the target; before the start that of the first point."""
+        waypoint = self._trajectory.last(self.point)
+        return {"waypoint": waypoint if waypoint >= 0 else None, "target": self._asked(max(self.point, 0))}
+
+    def waypoints(self) -> Sequence[Payload]:
+        """Returns all waypoints as the goal gave them, not corrected by the tip bias."""
+        return [{"t": self._trajectory.times[k], **self._asked(k)} for k in self._trajectory.waypoints.tolist()]
+
+    def settled(self, message: Settled, measured: Measured, deviation: float | None) -> Payload | None:
+        point, trajectory = message.mark, self._trajectory
+        self._stages += message.stages
+        so_far = self._deviation
+        self._deviation = None if so_far is None or deviation is None else max(so_far, deviation)
+        if trajectory.between(point):
+            return None
+        self.reached = trajectory.last(point) + 1
+        feedback = {
+            "id": self._goal,
+            "waypoint": trajectory.last(point),
+            "waypoints": self.count,
+            "switches": message.switches,
+            "stages": self._stages,
+            "excursion": self._deviation,
+            **measured_pose(self._manipulator, measured, self.target(point)),
+            **({} if trajectory.bias is None else {"bias": trajectory.bias}),
+        }
+        self._stages, self._deviation = 0, 0.0
+        return feedback
+
+    def left_path(self, point: int, measured: Measured) -> str | None:
+        """Returns how far the measured tip has left its path at a settled point, in words; otherwise None."""
+        trajectory = self._trajectory
+        if trajectory.path_tolerance is None or point == len(trajectory.times) - 1:
+            return None
+        error = measured_pose(self._manipulator, measured, self.target(point))["error"]
+        tolerance = trajectory.tolerances[point] if trajectory.between(point) else trajectory.path_tolerance
+        if error is not None and error <= tolerance:
+            return None
+        away = "unknown" if error is None else f"{error:.4f} from the moving target"
+        at = f"after waypoints[{trajectory.last(point)}] the measured tip is {away}"
+        return f"{at}, path_tolerance {trajectory.path_tolerance:g}"
+
+    def _asked(self, point: int) -> Payload:
+        """Returns position and orientation of a point; the orientation is None if any is accepted."""
+        trajectory = self._trajectory
+        position = trajectory.positions[point]
+        if trajectory.bias is not None and point not in trajectory.fixed:
+            position = position + trajectory.bias
+        frame = np.eye(4)
+        frame[:3, :3] = trajectory.rotations[point]
+        orientation = pose(self._manipulator, frame)["orientation"] if trajectory.turns[point] < np.inf else None
+        return {"position": position.tolist(), "orientation": orientation}
+
+    def target(self, point: int) -> GoalTarget:
+        trajectory, manipulator = self._trajectory, self._manipulator
+        turns, fixed = float(trajectory.turns[point]), trajectory.fixed.get(point)
+        return GoalTarget(
+            trajectory.positions[point],
+            float(trajectory.tolerances[point]),
+            trajectory.rotations[point] if turns < np.inf else None,
+            turns,
+            None if fixed is None else format_configuration(manipulator, manipulator.configuration(fixed)),
+        )
 
 
 @dataclass(eq=False)
@@ -69,11 +185,13 @@ class Goal:
         """When its last stage is expected to end [s]; in the past if the arm is late or waits."""
         return self.begin + self.feed.end(self.stage_began - self.begin)
 
-    def progress(self, wall: float) -> dict[str, Any]:
-        """Returns how far it is; `wall`: UNIX time of the zero of the planner's clock [s]."""
+    def present(self, wall: float) -> Payload:
+        """Returns its fields of `state`; `wall`: UNIX time of the zero of the planner's clock [s]."""
         reached, waypoints = (0, 1) if self.report is None else (self.report.reached, self.report.count)
-        begins, ends = (round(wall + moment, 1) for moment in (self.begin, self.end))
-        return {"waypoints": waypoints, "reached": reached, "begins": begins, "ends": ends}
+        begins, ends = round(wall + self.begin, 1), round(wall + self.end, 1)
+        progress = {"waypoints": waypoints, "reached": reached, "begins": begins, "ends": ends}
+        point = {"waypoint": None, "target": None} if self.report is None else self.report.present()
+        return {"goal": self.id, **point, "progress": progress}
 
 
 def jog_stages(parts: Parts, state: ArmState, wanted: dict[int, int]) -> States:

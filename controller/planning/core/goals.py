@@ -91,7 +91,6 @@ class Goals:
                 self._attempt(goal, self._check)
 
     def _attempt(self, goal: Goal, advance: Callable[[Goal], None]) -> bool:
-        """Advances a request; returns False if a refusal ended it."""
         try:
             advance(goal)
             return True
@@ -118,7 +117,6 @@ class Goals:
         self._programs.accepted(message)
 
     def declined(self, message: Declined) -> None:
-        """Offers a program again from the arm's new state, or refuses the request."""
         self._programs.withdraw(message.program)
         if (goal := self._offered(message.program)) is None:
             return

@@ -25,8 +25,6 @@ LONGEST = 5.0  # [s], longest wait of the answer to new obstacles for checks of 
 
 @dataclass(eq=False)
 class Change:
-    """An unanswered request for other obstacles."""
-
     request: int
     at: float  # time of arrival [s]
     effects: list[str] = field(default_factory=list)  # on running goals, as sentences

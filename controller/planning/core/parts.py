@@ -5,19 +5,14 @@ the numbers of arrivals, the executor by epoch. While a cancel is unanswered, ne
 begins with its answer.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from hyperbit.controller.motion.stages.pacing import Pace
 from hyperbit.controller.planning.core.arm import ExecutorView
 from hyperbit.controller.planning.core.events import Abandon, Action, Fail, Hurry, Start
 from hyperbit.controller.planning.core.tasks import Answer, PrepareSearch, Task
-
-if TYPE_CHECKING:
-    from hyperbit.controller.motion.stages.pacing import Pace
 
 HUNG = 60.0  # [s] after which a worker with an abandoned task counts as hung
 MOST_UNRESOLVED = 256  # tickets without an epoch; each stream of set-points without an executor leaves one
@@ -27,8 +22,6 @@ OnAnswer = Callable[[Answer], None]
 
 @dataclass(eq=False)
 class Ticket:
-    """The place of a request in the order of arrival."""
-
     number: int
     epoch: int | None  # of the executor at arrival; None while it is not known
     waits_for: frozenset[int]  # the executor's requests that were unanswered at arrival, and may begin a new epoch
@@ -119,8 +112,6 @@ class Job:
 
 
 class Jobs:
-    """Starts tasks, and passes each answer to the part of the core that asked."""
-
     def __init__(self, moment: Moment, act: Callable[[Action], None]) -> None:
         self._moment, self._act, self._last = moment, act, 0
         self._jobs: dict[int, Job] = {}
@@ -148,7 +139,6 @@ class Jobs:
             job.on_answer(answer)
 
     def prepares(self, number: int) -> bool:
-        """Returns whether a task only prepares the next search."""
         return (job := self._jobs.get(number)) is not None and isinstance(job.task, PrepareSearch)
 
     def tick(self) -> None:

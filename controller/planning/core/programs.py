@@ -5,10 +5,9 @@ from functools import partial
 from hyperbit.controller.motion.stages.feed import Improved
 from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Publish, Record, Reply, ToExecutor
-from hyperbit.controller.planning.core.goal import Goal
+from hyperbit.controller.planning.core.goal import Goal, GoalOutcome
 from hyperbit.controller.planning.core.obstacles import ObstacleOwner
 from hyperbit.controller.planning.core.parts import Parts
-from hyperbit.controller.planning.core.reports import GoalOutcome
 from hyperbit.controller.planning.core.results import Results
 from hyperbit.controller.program import Accepted, Begun, Cancel, Ended, Replaced, Settled
 from hyperbit.controller.refusals.codes import PATH_TOLERANCE_VIOLATED
@@ -39,12 +38,10 @@ class Programs:
 
     @property
     def offered(self) -> bool:
-        """Whether a program waits for the executor's answer."""
         return any(goal.state == "offered" for goal in self._goals.values())
 
     @property
     def idle(self) -> bool:
-        """Whether nothing is in flight, and no answer waits for the ledger."""
         return not self._goals and not self._unrecorded
 
     def unchecked(self) -> list[str]:
@@ -83,7 +80,6 @@ class Programs:
     # --- the executor
 
     def accepted(self, message: Accepted) -> None:
-        """Handles the acceptance of a program; cancels a program that was abandoned meanwhile."""
         goal, scene = self._goals.get(message.program), self._obstacles.scene
         if goal is None:
             self._act(ToExecutor(Cancel(0, message.program, GAVE_UP)))
@@ -117,7 +113,7 @@ class Programs:
                 goal.switches, point = message.switches, goal.feed.begin(message.stage)
                 goal.stage_began = self._moment.now
                 if goal.report is not None:
-                    goal.report.begun(point)
+                    goal.report.point = max(goal.report.point, point)
                 self._feed(goal)
             case Replaced():
                 goal.feed.answered(message.generation, message.accepted)
@@ -125,7 +121,7 @@ class Programs:
             case Settled():
                 goal.switches = message.switches
                 if goal.report is not None:
-                    goal.report.begun(message.mark)
+                    goal.report.point = max(goal.report.point, message.mark)
                     if (left := goal.report.left_path(message.mark, self._view.measured_in(message))) is not None:
                         self.end(goal, left, f"holding; goal {goal.id} left its path: {left}")
                 goal.held.append(message)
@@ -151,7 +147,6 @@ class Programs:
     # --- obstacles
 
     def park(self, generation: int) -> None:
-        """Withdraws the pending stages of all programs, because obstacles have changed."""
         for goal in list(self._goals.values()):
             if goal.feed.checked != generation and not goal.unchecked:
                 self._stop_tasks(goal)

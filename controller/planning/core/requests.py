@@ -21,8 +21,6 @@ CANCELED = "canceled; the arm holds"
 
 
 class Queries:
-    """Answers `plan` queries, each once."""
-
     def __init__(self, parts: Parts, premises: Premises) -> None:
         self._parts, self._premises = parts, premises
         self._waiting: dict[int, Request] = {}  # by number
@@ -108,8 +106,7 @@ class ExecutorRequests:
                 admission.bar(number)
                 self._pending[number] = now
             case "reset", _:
-                if self._locks.problem is not None:
-                    self._locks.retry()
+                self._locks.retry()
                 self._resets[number], self._pending[number] = admission.arrive(number), now
                 needed = self._view.mode()[0] in ("fault", "stopped")  # otherwise earlier requests may continue
                 (admission.bar if needed else admission.fence)(number)

@@ -1,31 +1,25 @@
 """Results: each is made, published, recorded and acknowledged, in this order, also one of an earlier process."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import msgspec
 
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.host.journal import fields_of_result
 from hyperbit.controller.host.process import Log
+from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.motion.stages.feed import PlanProof
 from hyperbit.controller.motion.targets import GoalTarget, measured_pose
 from hyperbit.controller.planning.core import events
 from hyperbit.controller.planning.core.arm import Measured
 from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Payload, ResultEntry, ToExecutor
-from hyperbit.controller.planning.core.goal import Goal
+from hyperbit.controller.planning.core.goal import Context, Goal, GoalOutcome
 from hyperbit.controller.planning.core.parts import Parts
-from hyperbit.controller.planning.core.reports import Context, GoalOutcome
 from hyperbit.controller.program import Acknowledge, Ended
 from hyperbit.controller.refusals import codes
-
-if TYPE_CHECKING:
-    from hyperbit.controller.manipulator.manipulator import Manipulator
 
 LOST = "the executor ended before it told how this goal ended; where the arm is now, `state` says"
 SENT_AGAIN_WITHIN = 5.0  # [s] after its greeting; by then the executor has sent its stored results
@@ -33,8 +27,6 @@ SENT_AGAIN_WITHIN = 5.0  # [s] after its greeting; by then the executor has sent
 
 @dataclass(eq=False)
 class Untold:
-    """A result that is not yet acknowledged."""
-
     identity: Identity
     result: int | None  # number at the executor, for the acknowledgement; None: unknown to the executor
     accepted: AcceptanceEntry  # in case the ledger lacks it
@@ -93,7 +85,8 @@ class Results:
         outcome, planned, measured = self._told_outcome(identity), context.proof, view.measured_in(message)
         if goal is not None:
             context = msgspec.structs.replace(context, proof=goal.feed.proof)
-            target, outcome = None if goal.report is None else goal.report.present, goal.outcome
+            target = None if goal.report is None else goal.report.target(max(goal.report.point, 0))
+            outcome = goal.outcome
         outcome = outcome or outcome_of(view.manipulator, message, measured, context)
         if outcome.status == "succeeded" and (why := why_not_as_planned(planned, context.proof, message.switches)):
             outcome = outcome._replace(message=f"{outcome.message}; {why}")
@@ -195,7 +188,6 @@ def decode_context(data: bytes) -> Context | None:
 
 
 def outcome_of(manipulator: Manipulator, ended: Ended, measured: Measured, context: Context) -> GoalOutcome:
-    """Returns the outcome of a program from the executor's end and the measured states (A,)."""
     target, goal = context.target, f"goal {context.id} was"
     if ended.status != "done":
         code = codes.PATH_TOLERANCE_VIOLATED if ended.status == "aborted" else codes.INVALID_GOAL

@@ -29,6 +29,7 @@ WARNINGS = frozenset(  # codes of what stops no motion
         *("unknown-position", "degraded"),
     )
 )
+NO_GOAL = dict.fromkeys(("goal", "waypoint", "target", "progress"))
 
 
 class Status:
@@ -47,7 +48,6 @@ class Status:
         self._logged: dict[tuple[str, str], Fault] = {}  # by code and source
 
     def report(self) -> None:
-        """Publishes the due messages, and feeds systemd's watchdog."""
         now = self._moment.now
         if now >= self._state_due():
             self.publish_state()
@@ -86,7 +86,6 @@ class Status:
         """Returns the payload of `state`; its tip is computed from the measured actuator states."""
         premises, state, manipulator = self._premises, self._view.state, self._view.manipulator
         (mode, reason), goal = premises.locks.mode(), self._programs.current
-        report = None if goal is None else goal.report
         made_from = None if state is None else (state.snapshot.measured, state.snapshot.known)
         if self._measured is None or made_from != self._measured[0]:
             measured = self._view.measured
@@ -104,10 +103,7 @@ class Status:
             **self._measured[1],
             "commanded": None if state is None or not state.known else state.states.tolist(),
             "unread": [] if state is None else state.unread,
-            "goal": None if goal is None else goal.id,
-            "waypoint": None if report is None else report.waypoint,
-            "target": None if report is None else report.target,
-            "progress": None if goal is None else goal.progress(self._moment.wall - self._moment.now),
+            **(NO_GOAL if goal is None else goal.present(self._moment.wall - self._moment.now)),
             "obstacles": premises.obstacles.generation,
             "faults": [*map(msgspec.structs.asdict, by_code((*self._faults(), *self.warnings)).values())],
             "degraded": [{"actuator": label, "state": locked} for label, locked in premises.locks.listed],

@@ -4,15 +4,13 @@ A stream is a sequence of set-points of one sender without a pause longer than t
 fault, reset or goal ends the present stream. Only a stream that begins later is followed.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.host.process import Log
 from hyperbit.controller.motion.decoding.setpoint import decode
 from hyperbit.controller.motion.tracking.tracking import GoalTracker, Tracking
@@ -25,9 +23,6 @@ from hyperbit.controller.planning.core.tasks import Answer, Basis, Failed, Follo
 from hyperbit.controller.program import TICK, Setpoint
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
-
-if TYPE_CHECKING:
-    from hyperbit.controller.arm.arm import Arm
 
 POLL = 0.005  # [s] between two considerations, at least
 ALIVE_EVERY = 0.02  # [s] between unchanged commands, which keep the stream alive
@@ -149,7 +144,6 @@ class Stream:
         return max(self._next_look, min(self._next_alive, next_search))
 
     def park(self) -> None:
-        """Withdraws pending stages, because the obstacles have changed."""
         self._abandon()
         state, ticket = self._view.state, self._ticket
         if state is None or ticket is None or ticket.epoch is None or self._admission.stream_ended(ticket):
@@ -226,7 +220,6 @@ class Stream:
         self._job = self._answer = self._found = None
 
     def _alive(self, last: float) -> bool:
-        """Returns whether the given time of the last set-point is within the time-out."""
         return self._moment.now - last <= self._timeout
 
     def status(self) -> Payload:

@@ -147,7 +147,6 @@ Answer = (
 
 
 def refusal_of(answer: Answer) -> Refusal:
-    """Returns the refusal of a goal whose task was answered without a plan."""
     return answer.refusal if isinstance(answer, Refused) else Refusal(Reason.PLANNING_FAILED)
 
 

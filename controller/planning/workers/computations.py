@@ -312,7 +312,6 @@ def follow(model: ArmModel, task: tasks.FollowSetpoint) -> tasks.Followed:
 
 
 def check_stages(task: tasks.CheckStages, proceed: Proceed) -> tasks.Checked:
-    """Returns the first collision of consecutive stages; calls `proceed` before each."""
     keep_out: KeepOutSet = task.scene.keep_out
     before, *stages = (unpack_states(states, keep_out.actuators) for states in (task.before, *task.stages))
     return tasks.Checked(keep_out.first_collision(before, stages, proceed))

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hyperbit.controller.executor.process.log_lines import MOST_WAITING, LogLines
+from hyperbit.controller.executor.process.real_time import MOST_WAITING, LogLines
 
 LONG = "x" * 10_000
 

@@ -24,7 +24,7 @@ from hyperbit.controller.program import Diagnostics, Fault
 from hyperbit.controller.workspace.densities import Densities
 from tests.planning.conftest import DOCUMENT
 from tests.planning.rig.desk import Desk
-from tests.planning.rig.played_core import PlayedCore, PlayedGoal, PlayedReport
+from tests.planning.rig.played_core import PlayedCore, PlayedGoal
 
 HOME = (0, 0, 0, 0)
 STUCK = Fault("stuck", "1.left", "it reads contracted")
@@ -117,7 +117,7 @@ def test_what_depends_on_measured_states_is_computed_once(bench: StatusBench, mo
 
 def test_the_running_goal_is_told(bench: StatusBench) -> None:
     target = {"position": [1.0, 0.0], "orientation": None}
-    bench.programs.current = PlayedGoal("a", PlayedReport(1, target))
+    bench.programs.current = PlayedGoal({"goal": "a", "waypoint": 1, "target": target})
     bench.show(mode="executing")
     state = bench.state()
     assert (state["goal"], state["waypoint"], state["target"]) == ("a", 1, target)

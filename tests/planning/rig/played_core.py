@@ -48,18 +48,11 @@ class PlayedObstacles:
 
 
 @dataclass
-class PlayedReport:
-    waypoint: int | None
-    target: Any
-
-
-@dataclass
 class PlayedGoal:
-    id: str
-    report: PlayedReport
+    fields: dict[str, Any]
 
-    def progress(self, wall: float) -> dict[str, float]:
-        return {"ends": wall}
+    def present(self, wall: float) -> dict[str, Any]:
+        return {**self.fields, "progress": {"ends": wall}}
 
 
 @dataclass

@@ -14,10 +14,9 @@ from hyperbit.controller.arm.arm import load
 from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.events import Answered, Event
 from hyperbit.controller.planning.core.tasks import Described, DescribePlan, Done, Failed, Refused
-from hyperbit.controller.planning.workers import long_plans, pool
+from hyperbit.controller.planning.workers import pool
 from hyperbit.controller.planning.workers.computations import Abandoned, ArmModel, describe
-from hyperbit.controller.planning.workers.long_plans import LongPlanner, Planner, answer_plans, is_long, packed
-from hyperbit.controller.planning.workers.pool import Workers
+from hyperbit.controller.planning.workers.pool import LongPlanner, PlanServer, Workers, answer_plans, packed
 from tests.planning.workers.conftest import A, B, Bench, abandoned, nothing
 from tests.waiting import PATIENCE
 
@@ -49,11 +48,6 @@ class Silent(LongPlanner):
         self.ended += 1
 
 
-def test_a_plan_is_long_by_its_deadline(bench: Bench) -> None:
-    assert [is_long(task(bench, seconds)) for seconds in (None, 0.5, 1.0, 1.5)] == [False, False, False, True]
-    assert not is_long(bench.task(A))
-
-
 def test_a_process_answers_as_a_thread_does_also_after_it_was_killed_and_the_file_has_changed(
     bench: Bench, tmp_path: Path
 ) -> None:
@@ -81,7 +75,7 @@ def test_a_plan_that_is_no_longer_wanted_ends_with_its_process(bench: Bench) -> 
 
 def test_a_process_that_does_not_answer_is_given_up(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     planner = Silent(bench.arm, bench.weights)
-    monkeypatch.setattr(long_plans, "START", -60.0)
+    monkeypatch.setattr(pool, "START", -60.0)
     answer = planner.plan(task(bench), nothing)
     assert isinstance(answer, Failed)
     assert "no answer after 0 s" in answer.reason
@@ -89,21 +83,21 @@ def test_a_process_that_does_not_answer_is_given_up(bench: Bench, monkeypatch: p
 
 
 def test_refusals_and_errors_are_answers(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    planner, far = Planner(bench.arm, bench.weights), task(bench)
+    planner, far = PlanServer(bench.arm, bench.weights), task(bench)
     waypoint = msgspec.structs.replace(far.goal.message.waypoints[0], configuration=None, position=list(FAR))
     message = msgspec.structs.replace(far.goal.message, waypoints=[waypoint])
     answer = planner.answer(packed(far._replace(goal=far.goal._replace(message=message))))
     assert isinstance(answer, Refused)
     assert "out of reach" in str(answer.refusal)
-    monkeypatch.setattr(long_plans, "build_scene", lambda *_: 1 / 0)
-    failed = Planner(bench.arm, bench.weights).answer(packed(task(bench)))
+    monkeypatch.setattr(pool, "build_scene", lambda *_: 1 / 0)
+    failed = PlanServer(bench.arm, bench.weights).answer(packed(task(bench)))
     assert isinstance(failed, Failed)
     assert "ZeroDivisionError" in failed.reason
 
 
 def test_a_process_of_another_version_refuses(bench: Bench) -> None:
     ours, theirs = Pipe()
-    planner = Planner(bench.arm, bench.weights)
+    planner = PlanServer(bench.arm, bench.weights)
     serving = threading.Thread(target=answer_plans, args=(theirs, planner, "0.0.1"))
     serving.start()
     ours.send(packed(task(bench)))
@@ -130,9 +124,9 @@ def test_only_long_plans_go_to_processes(bench: Bench, monkeypatch: pytest.Monke
         bench.arm.settings, planning=msgspec.structs.replace(bench.arm.settings.planning, workers=2)
     )
     workers = Workers(replace(bench.arm, settings=settings), bench.densities, bench.weights, events.put, print)
-    workers.start(1, task(bench))
+    workers.start(1, task(bench, 1.5))
     assert begun.wait(PATIENCE)
-    workers.start(2, task(bench, None))  # which another thread answers
+    workers.start(2, task(bench, 1.0))  # which another thread answers
     second = events.get(timeout=PATIENCE)
     assert isinstance(second, Answered)
     assert second.task == 2

@@ -15,8 +15,8 @@ from random import Random
 from types import SimpleNamespace
 from typing import Any
 
-from hyperbit.controller.gateway import claim as claim_module
-from hyperbit.controller.gateway.claim import AlreadyRunning, Claim
+from hyperbit.controller.gateway import daemon as claim_module
+from hyperbit.controller.gateway.daemon import AlreadyRunning, Claim
 from tests.simulation.judge.verdict import require
 from tests.simulation.whole.zenoh_model import Bytes, matches
 
