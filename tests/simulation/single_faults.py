@@ -34,7 +34,8 @@ VOLLEYS = 3  # of the kinds
 RARE = {  # kinds that few arms permit
     *("door is opened", "wires are shorted", "actuator misses commands", "bus is down as a pulse begins"),
     *("another bus is down while a pulse ends", "another bus is stuck while a pulse ends"),
-    *("nobody answers during a pulse", "a board loses the end of a pulse", "a board is unplugged while it gets a pulse"),
+    *("nobody answers during a pulse", "a board loses the end of a pulse"),
+    "a board is unplugged while it gets a pulse",
 }
 OF_BOARDS = {  # kinds that worlds with boards alone judge, too: they come last
     *("bus is down", "bus-off", "bus is unacknowledged", "queue is full", "bus-passive", "overruns", "overrun"),
