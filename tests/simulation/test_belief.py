@@ -43,10 +43,10 @@ DEFECTS: dict[str, tuple[type, str, Callable[..., Any] | property]] = {
     "the pulse of a doubtful SYNC is not watched": (Actuation, "_watch_doubtful_pulses", lambda *_: 0),
 }
 FIRST = {  # seed that finds a defect soonest
-    "goals are done before they are read back": 24,
+    "goals are done before they are read back": 2,
     "what is read back is not compared": 36,
-    "missed pulses are believed": 24,
-    "lost echoes are waited for": 2,
+    "missed pulses are believed": 20,
+    "lost echoes are waited for": 1,
 }
 
 _possible = FaultKinds.possible

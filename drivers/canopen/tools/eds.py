@@ -137,12 +137,15 @@ class Eds:
         return (self.value(index, 0) or 0) if array else 0
 
     def _of_compact_object(self, index: int, sub: int, whole: Section, count: int) -> Entry | None:
-        """CompactSubObj: sub-index 0 is the number of the others, which are alike."""
-        if sub == 0:
-            return Entry("ro", _UNSIGNED8, value=count)
+        """CompactSubObj: sub-index 0 is the number of the others, which are alike.
+
+        Sub-index 0 is read-only (CiA 306-1), but generators of DCFs use the form for mappings that can be changed, too.
+        """
         if sub > count:
             return None
         entry = self._entry(f"{index:04X}", whole, {})
+        if sub == 0:
+            return Entry(None if is_mapping(index) and entry.writable else "ro", _UNSIGNED8, value=count)
         value = self._number(f"{index:04X}Value", self._file.others.get(f"{index:04x}value", {}), str(sub))
         return entry if value is None else entry._replace(value=value, configured=True)
 

@@ -154,6 +154,23 @@ FITS: dict[str, Change] = {
     ),
     "modules that bring other objects": add(MODULES.replace("6200", "6411") + MODULE.replace("6200", "6411")),
     "the value of a DCF that fits": put("6202sub1", "ParameterValue=0"),
+    "empty values of a DCF": lambda text: re.sub(
+        r"^(DefaultValue=.*)", r"\1\nParameterValue=", text, flags=re.MULTILINE
+    ),
+    "a value of a whole record": put("1600", "ParameterValue=2"),
+    "keys in comments": lambda text: re.sub(r"^(DataType=.*)", r";StorageLocation=RAM\n\1", text, flags=re.MULTILINE),
+    "dummies of all types": swap("[DummyUsage]\n", "[DummyUsage]\nDummy0010=1\nDummy001B=1\n"),
+    "mappable in hexadecimal": lambda text: re.sub(r"^PDOMapping=(\d)", r"PDOMapping=0x\1", text, flags=re.MULTILINE),
+    "a producer of SYNC": put("1005", "DefaultValue=0x40000080"),
+    "no remote frames": put("1800sub1", "DefaultValue=$NODEID+0x40000180"),
+    "a sub-index FF": add("[2000]\nObjectType=8\nSubNumber=0xFF\n\n[2000subFF]\nDataType=5\nAccessType=rw"),
+    "a history of 255": compact("1003", "ro", 0, count="255"),
+    "a compact array beside its entries": add(
+        "[2000]\nObjectType=8\nSubNumber=1\nCompactSubObj=1\n\n[2000sub1]\nDataType=5\nAccessType=rw"
+    ),
+    "links, denotations and sections of a maker": add(
+        "[2000ObjectLinks]\nObjectLinks=1\n1=0x1000\n\n[2000Denotation]\nNrOfEntries=1\n1=a\n\n[Maker]\nKey=1.2.3"
+    ),
     "UTF-8 with a mark": lambda text: "\ufeff" + text,
     "zeros at the end": lambda text: text + "\0\0\0",
 }
@@ -189,6 +206,15 @@ OPEN: dict[str, tuple[Change, str]] = {
     "outputs that a module describes": (
         both(drop("6200"), add("[M1Fixed6200]\nParameterName=v\n\n[M1Fixed6200sub1]\nDataType=5")),
         "modules bring it",
+    ),
+    "a compact mapping": (
+        both(
+            drop("1600"),
+            add(
+                "[1600]\nObjectType=9\nDataType=7\nAccessType=rw\nCompactSubObj=1\n\n[1600Value]\nNrOfEntries=1\n1=0x20000108"
+            ),
+        ),
+        "1600h sub 0",
     ),
     "a limit that leaves no room for a node id": (put("1016sub1", "HighLimit=65535"), "1016h sub 1"),
     "a type that cannot be read": (put("1017", "DataType=word"), "1017h"),
