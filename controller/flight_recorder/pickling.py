@@ -1,13 +1,11 @@
-"""Pickles of events: how to write them, and which ones to read.
+"""Pickles of events: how to write them, and whose methods they may contain.
 
-A pickle could call any function. So only data, and classes without side effects, are accepted.
+A pickle could call any function. So a reader accepts only data, and classes without side effects.
 """
 
 from __future__ import annotations
 
 import copyreg
-import importlib
-import io
 import pickle
 import re
 from collections.abc import Callable, Mapping
@@ -23,25 +21,7 @@ PURE = re.compile(
     r"|hyperbit\.controller\.executor\.(arm|core|motion)\.\w+"
     r"|hyperbit\.drivers\.canopen\.((boards|boot|run|sdo)\.\w+|faults|layout|pdo|status|wiring|wire\.(cia301|events|link))"
 )
-CORE = "hyperbit.controller.planning.core."  # its functions are pure, too
 LEFT_OUT = "left out"  # replaces an opaque value that is not None
-OTHERS = {
-    ("hyperbit.controller.flight_recorder.pickling", "method_of"),
-    ("collections", "Counter"),
-    ("collections", "OrderedDict"),
-    ("collections", "defaultdict"),
-    ("collections", "deque"),
-    ("functools", "partial"),
-    ("filterpy.kalman.kalman_filter", "KalmanFilter"),
-    ("numpy.linalg", "inv"),  # attribute of the filter
-    *(
-        ("builtins", name)
-        for name in ("bytearray", "complex", "dict", "frozenset", "int", "list", "range", "set", "slice")
-    ),
-    *(("numpy", name) for name in ("dtype", "ndarray")),
-    *((f"numpy.{core}.multiarray", name) for core in ("core", "_core") for name in ("_reconstruct", "scalar")),
-    *((f"numpy.{core}.numeric", "_frombuffer") for core in ("core", "_core")),
-}
 
 
 def reducers(opaque: Mapping[type, str], outside: Mapping[str, object]) -> dict[type, Callable[[Any], Any]]:
@@ -67,41 +47,6 @@ def reducers(opaque: Mapping[type, str], outside: Mapping[str, object]) -> dict[
     table[MappingProxyType] = lambda mapping: (dict, (dict(mapping),))
     table |= {type(it): by_name for it in outside.values()}
     return table | {kind: without(field) for kind, field in opaque.items()}
-
-
-class _Unpickler(pickle.Unpickler):
-    def __init__(self, content: bytes, given: Mapping[str, Any]) -> None:
-        super().__init__(io.BytesIO(content))
-        self._given = given
-
-    def find_class(self, module: str, name: str) -> Any:
-        if (module, name) == (__name__, stands_outside.__name__):
-            return self._outside
-        if (module, name) in OTHERS:
-            return getattr(importlib.import_module(module), name)
-        if PURE.fullmatch(module):
-            found = getattr(importlib.import_module(module), name, None)
-            pure = isinstance(found, type) or (isinstance(found, FunctionType) and module.startswith(CORE))
-            if pure and found.__module__ == module:
-                return found
-        raise RefusedFile(f"the file contains {module}.{name}, which no file of events may contain: it is not loaded")
-
-    def _outside(self, name: str) -> Any:
-        if name not in self._given:
-            raise RefusedFile(
-                f"the core needs {name!r}, which is not in the file: it can only be made from the arm's file"
-            )
-        return self._given[name]
-
-
-def unpickle(content: bytes, given: Mapping[str, Any] = MappingProxyType({})) -> Any:
-    """Unpickles data without code; `given`: objects recorded by name. Raises RefusedFile for any other pickle."""
-    try:
-        return _Unpickler(content, given).load()
-    except RefusedFile:
-        raise
-    except Exception as error:
-        raise RefusedFile(f"a pickle cannot be read: {type(error).__name__}: {error}") from None
 
 
 def method_of(owner: object, name: str) -> MethodType:

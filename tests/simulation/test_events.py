@@ -17,8 +17,7 @@ from hyperbit.controller.executor.core.events import SendFrame
 from hyperbit.controller.executor.process.server import ExecutorServer
 from hyperbit.controller.flight_recorder import FlightRecorder, Label, pickling
 from hyperbit.controller.flight_recorder import recorder as recording
-from hyperbit.controller.flight_recorder.loading import load
-from hyperbit.controller.flight_recorder.pickling import LEFT_OUT, unpickle
+from hyperbit.controller.flight_recorder.pickling import LEFT_OUT
 from hyperbit.controller.host import keeper
 from hyperbit.controller.host.keeper import KEPT, LENGTH, RefusedFile, save
 from hyperbit.controller.host.process import Log
@@ -28,6 +27,7 @@ from hyperbit.controller.planning.core.events import Answered, Start
 from hyperbit.controller.planning.core.tasks import BuildScene, SceneBuilt, Tables, VersionedScene
 from tests.keys import DEPLOY
 from tests.simulation.events import arm_objects, main, replay, same
+from tests.simulation.loading import load, unpickle
 from tests.simulation.world import World
 
 LABEL = Label("executor", f"recorded-{os.getpid()}", "digest")
