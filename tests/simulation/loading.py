@@ -12,13 +12,13 @@ from pathlib import Path
 from types import FunctionType, MappingProxyType
 from typing import Any, NamedTuple
 
-from hyperbit.controller.flight_recorder import pickling
-from hyperbit.controller.flight_recorder.pickling import PURE, stands_outside
+from hyperbit.controller.flight_recorder import recorder
+from hyperbit.controller.flight_recorder.recorder import PURE, stands_outside
 from hyperbit.controller.host.keeper import LARGEST, LENGTH, MAGIC, RefusedFile, about
 
 CORE = "hyperbit.controller.planning.core."  # its functions are pure, too
 OTHERS = {
-    ("hyperbit.controller.flight_recorder.pickling", "method_of"),
+    ("hyperbit.controller.flight_recorder.recorder", "method_of"),
     ("collections", "Counter"),
     ("collections", "OrderedDict"),
     ("collections", "defaultdict"),
@@ -97,7 +97,7 @@ class _Unpickler(pickle.Unpickler):
         self._given = given
 
     def find_class(self, module: str, name: str) -> Any:
-        if (module, name) == (pickling.__name__, stands_outside.__name__):
+        if (module, name) == (recorder.__name__, stands_outside.__name__):
             return self._outside
         if (module, name) in OTHERS:
             return getattr(importlib.import_module(module), name)

@@ -15,9 +15,9 @@ import pytest
 from hyperbit.controller.arm import arm as config
 from hyperbit.controller.executor.core.events import SendFrame
 from hyperbit.controller.executor.process.server import ExecutorServer
-from hyperbit.controller.flight_recorder import FlightRecorder, Label, pickling
+from hyperbit.controller.flight_recorder import FlightRecorder, Label
 from hyperbit.controller.flight_recorder import recorder as recording
-from hyperbit.controller.flight_recorder.pickling import LEFT_OUT
+from hyperbit.controller.flight_recorder.recorder import LEFT_OUT
 from hyperbit.controller.host import keeper
 from hyperbit.controller.host.keeper import KEPT, LENGTH, RefusedFile, save
 from hyperbit.controller.host.process import Log
@@ -156,8 +156,8 @@ class Called:
         (Called(getattr, "", "join"), "builtins.getattr"),
         (Called(ExecutorServer, Path("x")), "server.ExecutorServer"),
         (Called(keeper.save, (), Path("x"), ""), "keeper.save"),
-        (Called(pickling.method_of, Path("x"), "unlink"), "PosixPath"),
-        (Called(pickling.method_of, [], "append"), "method 'append'"),
+        (Called(recording.method_of, Path("x"), "unlink"), "PosixPath"),
+        (Called(recording.method_of, [], "append"), "method 'append'"),
     ],
 )
 def test_a_pickle_that_does_anything_is_refused(content: Called, word: str) -> None:
