@@ -54,6 +54,8 @@ class Services(NamedTuple):  # services of the process for the planner
 
 
 class Mailbox:
+    """The latest set-point or measured tip of each sender. Thread-safe."""
+
     def __init__(self, kind: type[events.Arrived]) -> None:
         self._kind = kind
         self._latest: dict[str, events.Arrived] = {}
@@ -233,20 +235,25 @@ class Loop:
     def _step(self, event: events.Event) -> None:
         """Passes an event to the core and carries out the actions. Raises the core's exceptions, and PlannerFailed."""
         now, wall = self._clock(), self._wall()
-        actions: Sequence[events.Action] | None = None  # None is recorded after an exception
+        actions: Sequence[events.Action] | None = None
         try:
             actions = self._core.step(event, now, wall)
             for action in actions:
                 self._carry_out(action)
         finally:
-            try:
-                if self._recorder is not None:
-                    self._recorder(event, now, wall, actions)
-                    if isinstance(event, events.Tick):  # not after each step: a worker may wait for the GIL
-                        self._recorder.flush()
-            except Exception:
-                self._recorder = None
-                log.exception("the recording of events has ended")
+            self._record(event, now, wall, actions)
+
+    def _record(self, event: events.Event, now: float, wall: float, actions: Sequence[events.Action] | None) -> None:
+        """Gives a step to the recorder, until the recorder fails; `actions` are None after an exception."""
+        if self._recorder is None:
+            return
+        try:
+            self._recorder(event, now, wall, actions)
+            if isinstance(event, events.Tick):  # not after each step: a worker may wait for the GIL
+                self._recorder.flush()
+        except Exception:
+            self._recorder = None
+            log.exception("the recording of events has ended")
 
     def _carry_out(self, action: events.Action) -> None:
         try:

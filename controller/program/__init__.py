@@ -8,6 +8,8 @@ Each message is one packet of a SOCK_SEQPACKET socket, in MessagePack. A client 
 `Welcome` or `Goodbye`. `Down` lists the messages from clients, `Up` those from the executor.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 import msgspec
@@ -63,26 +65,11 @@ from hyperbit.controller.program.up import (
     Welcome,
 )
 
-encode = msgspec.msgpack.Encoder().encode
-_down: msgspec.msgpack.Decoder[Down] = msgspec.msgpack.Decoder(Down)
-_up: msgspec.msgpack.Decoder[Up] = msgspec.msgpack.Decoder(Up)
+T = TypeVar("T")
 
 
 class Malformed(ValueError):
     """A packet is not a message of this contract; the text says why."""
-
-
-def decode_down(data: bytes) -> Down:
-    """Decodes a client's message. Raises Malformed if the packet is not a message."""
-    return _decoded(_down, data)
-
-
-def decode_up(data: bytes) -> Up:
-    """Decodes the executor's message. Raises Malformed if the packet is not a message."""
-    return _decoded(_up, data)
-
-
-T = TypeVar("T")
 
 
 def _decoded(decoder: msgspec.msgpack.Decoder[T], data: bytes) -> T:
@@ -92,3 +79,9 @@ def _decoded(decoder: msgspec.msgpack.Decoder[T], data: bytes) -> T:
         return decoder.decode(data)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
         raise Malformed(f"not a message of version {VERSION}: {error}") from None
+
+
+encode = msgspec.msgpack.Encoder().encode
+# Decode the message of a client, and one of the executor. Both raise Malformed if the packet is not a message.
+decode_down: Callable[[bytes], Down] = partial(_decoded, msgspec.msgpack.Decoder(Down))
+decode_up: Callable[[bytes], Up] = partial(_decoded, msgspec.msgpack.Decoder(Up))

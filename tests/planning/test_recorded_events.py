@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from hyperbit.controller.flight_recorder import FlightRecorder, Label
-from hyperbit.controller.flight_recorder.loading import load
 from hyperbit.controller.host.keeper import save
 from hyperbit.controller.planning.core.core import OPAQUE, Core
 from hyperbit.controller.planning.core.events import Action, Event
 from hyperbit.controller.program import Program
 from tests.planning.rig.desk import Desk
 from tests.simulation.events import replay
+from tests.simulation.loading import load
 
 A, B, C = (1, 0, 0, 0), (1, 1, 0, 0), (2, 1, 0, 1)
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hyperbit.controller.arm import arm as config
-from hyperbit.controller.flight_recorder.loading import Generation, RecordedStep, load
+from tests.simulation.loading import Generation, RecordedStep, load
 
 
 class Difference(NamedTuple):

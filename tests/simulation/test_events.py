@@ -15,10 +15,9 @@ import pytest
 from hyperbit.controller.arm import arm as config
 from hyperbit.controller.executor.core.events import SendFrame
 from hyperbit.controller.executor.process.server import ExecutorServer
-from hyperbit.controller.flight_recorder import FlightRecorder, Label, pickling
+from hyperbit.controller.flight_recorder import FlightRecorder, Label
 from hyperbit.controller.flight_recorder import recorder as recording
-from hyperbit.controller.flight_recorder.loading import load
-from hyperbit.controller.flight_recorder.pickling import LEFT_OUT, unpickle
+from hyperbit.controller.flight_recorder.recorder import LEFT_OUT
 from hyperbit.controller.host import keeper
 from hyperbit.controller.host.keeper import KEPT, LENGTH, RefusedFile, save
 from hyperbit.controller.host.process import Log
@@ -28,6 +27,7 @@ from hyperbit.controller.planning.core.events import Answered, Start
 from hyperbit.controller.planning.core.tasks import BuildScene, SceneBuilt, Tables, VersionedScene
 from tests.keys import DEPLOY
 from tests.simulation.events import arm_objects, main, replay, same
+from tests.simulation.loading import load, unpickle
 from tests.simulation.world import World
 
 LABEL = Label("executor", f"recorded-{os.getpid()}", "digest")
@@ -156,8 +156,8 @@ class Called:
         (Called(getattr, "", "join"), "builtins.getattr"),
         (Called(ExecutorServer, Path("x")), "server.ExecutorServer"),
         (Called(keeper.save, (), Path("x"), ""), "keeper.save"),
-        (Called(pickling.method_of, Path("x"), "unlink"), "PosixPath"),
-        (Called(pickling.method_of, [], "append"), "method 'append'"),
+        (Called(recording.method_of, Path("x"), "unlink"), "PosixPath"),
+        (Called(recording.method_of, [], "append"), "method 'append'"),
     ],
 )
 def test_a_pickle_that_does_anything_is_refused(content: Called, word: str) -> None:

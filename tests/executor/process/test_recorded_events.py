@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from hyperbit.controller.flight_recorder.loading import load
 from hyperbit.controller.host.keeper import KINDS, RefusedFile, ring_paths
 from hyperbit.controller.program import Answer, PlayFault, Program, Snapshot, Stage, pack
 from tests.executor.process.test_process import SIZE, Planner, Process
 from tests.simulation.events import replay
+from tests.simulation.loading import load
 from tests.waiting import eventually
 
 
