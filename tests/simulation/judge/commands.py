@@ -21,6 +21,7 @@ INVALID = 1 << 31  # bit of a COB-ID
 KEPT_SETPOINTS = (
     12  # bad ones among them; the stages of an earlier set-point are kept while a question about it is open
 )
+START = 0x01  # NMT command
 
 
 class Line(NamedTuple):
@@ -56,6 +57,7 @@ class Commands:
             if channel.output_off is not None:
                 of_board.append((channel.output_off, k, True, "output_off" in channel.inverted))
         self._objects = {f"{node.bus}/{node.node}": node.object for node in wiring.nodes}
+        self._boards = [f"{channel.bus}/{channel.node}" for channel in wiring.channels]
         self.begin()
 
     def begin(self) -> None:
@@ -64,6 +66,12 @@ class Commands:
         self._told = (0, 0)  # extending and contracting outputs that were commanded on
         self._setpoints = deque[Setpoint](maxlen=KEPT_SETPOINTS)
         self._mover: Commit | None = None
+        self._left = set[str]()  # boards that were ordered to leave operational: they ignore RPDOs
+
+    def order(self, bus: str, data: bytes) -> None:
+        """Records an NMT command to a board."""
+        board = f"{bus}/{data[1]}"
+        self._left = self._left - {board} if data[0] == START else self._left | {board}
 
     def receive(self, message: Setpoint) -> None:
         a = self._a
@@ -163,7 +171,7 @@ class Commands:
             if commit.homing & a.arm.paired:
                 a.homed_at = a.now
         mask = extends = contracts = 0
-        for bit, k, is_off, inverted in lines:
+        for bit, k, is_off, inverted in (line for line in lines if self._boards[line.actuator] not in self._left):
             level = data[bit // 8] >> bit % 8 & 1 ^ inverted if bit // 8 < len(data) else 0
             mask |= 1 << k
             extends |= (level and not is_off) << k

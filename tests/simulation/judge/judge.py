@@ -25,7 +25,7 @@ from tests.simulation.judge.streams import Streams
 from tests.simulation.judge.traffic import Look, Traffic
 from tests.simulation.judge.travels import Travels
 
-SYNC = 0x80
+NMT, SYNC = 0x000, 0x080
 RPDOS = range(0x200, 0x580, 0x100)
 
 
@@ -176,6 +176,8 @@ class Judge:
             self._commits[bus] = a.commit
             self._unsent.pop(bus, None)
             self.commands.commit(bus, frame_id, data)
+        elif frame_id == NMT:
+            self.commands.order(bus, data)
         elif frame_id > SYNC and bus in self._behind:
             self._behind[bus].add(frame_id)
         elif frame_id == SYNC:

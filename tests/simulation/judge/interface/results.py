@@ -224,8 +224,8 @@ class Results:
         elif status == "aborted":
             stops = [r for r in later if barring(r) or r.key == "obstacles"]
             kinds = ("fault", "epoch", "link", "executor ended", "planner ended", "quit", "halted", "touched", "cubes")
-            kinds = (*kinds, "search errs") if payload["message"].startswith("after waypoints[") else kinds
-            calm = a.clear() and not stops and not any(a.had(kind, ran.at) for kind in kinds)
+            erred = payload["message"].startswith("after waypoints[") and a.had("search errs", ran.at - 10.0)
+            calm = a.clear() and not stops and not erred and not any(a.had(kind, ran.at) for kind in kinds)
             require(not calm, f"{text}; nothing has ended it")
 
     def _judge_reached(self, ran: Ran, payload: Payload, reached: bool, text: str) -> None:
