@@ -66,6 +66,19 @@ def _energise(self: Modes, now: float) -> None:
     actuation.switch(actuation.states, now, homing=-1)
 
 
+class _Kept(dict[int, Any]):
+    def pop(self, *_: object) -> None:
+        """Removes nothing."""
+
+
+_begin_results = ProgramResults.__init__
+
+
+def _keep_results(self: ProgramResults, send: Any, journal: SwitchJournal) -> None:
+    _begin_results(self, send, journal)
+    self.stored = _Kept()
+
+
 _enter = SimulatedBoard._enter
 
 
@@ -123,7 +136,7 @@ def _go_on(self: Modes, status: str, message: str, reason: str, mode: Any = "rea
 DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
     "stages wait neither for those before nor for a rest": (Actuation, "ready_at", lambda self, states, strict: 0.0),
     "switches are counted that were not made": (SwitchJournal, "resolve", _count_everything),
-    "results are sent again for ever": (ProgramResults, "acknowledge", lambda self, number: None),
+    "results are sent again for ever": (ProgramResults, "__init__", _keep_results),
     "a program goes on after cancel and halt": (Modes, "hold", _go_on),
     "stages begin too early": (ProgramExecution, "due", lambda self, now, *_: self.taken + 1 if self._stages else None),
     "locks are taken whatever the end-stops read": (LockedActuators, "refusal", lambda self, *_: None),
@@ -158,7 +171,7 @@ FOUND = {  # words of the violation, where another invariant could find the defe
 
 FIRST = {  # seed that finds the defect soonest; other seeds follow if it no longer does
     "switches are counted that were not made": 2,
-    "results are sent again for ever": 1,
+    "results are sent again for ever": 5,
     "a program goes on after cancel and halt": 2,
     "locks are taken whatever the end-stops read": 15,
     "no epoch ends": 2,
@@ -168,7 +181,7 @@ FIRST = {  # seed that finds the defect soonest; other seeds follow if it no lon
     "the loss of the planner begins no epoch": 2,
     "marks settle again after a replacement": 7,
     "stages are taken again after a replacement": 5,
-    "programs wait for stages for ever": 13,
+    "programs wait for stages for ever": 2,
     "programs do not wait for stages": 3,
     "stages wait neither for those before nor for a rest": 1,
 }
