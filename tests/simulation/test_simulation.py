@@ -181,7 +181,7 @@ FIRST = {  # seed that finds the defect soonest; other seeds follow if it no lon
     "the loss of the planner begins no epoch": 2,
     "marks settle again after a replacement": 7,
     "stages are taken again after a replacement": 5,
-    "programs wait for stages for ever": 2,
+    "programs wait for stages for ever": 13,
     "programs do not wait for stages": 3,
     "stages wait neither for those before nor for a rest": 1,
 }
