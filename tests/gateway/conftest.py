@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from hyperbit.controller.gateway.arrivals import RepeatedGoals, Reply
+from hyperbit.controller.gateway.arrivals import Clocks, RepeatedGoals, Reply
 from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.gateway.server import GatewayParts, Server
@@ -130,9 +130,9 @@ class Gateway:
         self.server = self.serve()
         stack.callback(lambda: self.server.close())
 
-    def serve(self) -> Server:
+    def serve(self, clocks: Clocks = Clocks()) -> Server:
         poses = Poses(Path(self._stack.enter_context(TemporaryDirectory())) / "a.poses.json", "00")
-        parts = GatewayParts(self.planner, self.outbox, self.goals, poses, self.find)  # type: ignore[arg-type]
+        parts = GatewayParts(self.planner, self.outbox, self.goals, poses, self.find, clocks)  # type: ignore[arg-type]
         return Server(self.session, ARM, parts)
 
     def find(self, goal: str) -> Payload | None:

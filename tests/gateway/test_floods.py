@@ -1,6 +1,8 @@
 """A flood of refused requests is refused briefly and slowed down."""
 
-from hyperbit.controller.gateway.arrivals import MOST_AT_ONCE, PAUSE, PAUSE_EVERY, FloodBrake, Rate
+from hyperbit.controller.gateway.arrivals import MOST_AT_ONCE, PAUSE, PAUSE_EVERY, Clocks, FloodBrake, Rate
+from tests.gateway.conftest import ARM, Gateway
+from tests.gateway.test_server import asked
 
 
 class Time:
@@ -43,3 +45,12 @@ def test_a_rate_is_of_any_second() -> None:
         admitted.append(rate.admits())
         time.now += 0.3
     assert admitted == [True, True, False, False, True, True, False, False]
+
+
+def test_in_a_flood_a_refusal_says_that_it_gives_no_reason(gateway: Gateway) -> None:
+    gateway.server.close()
+    gateway.server = gateway.serve(Clocks(monotonic=lambda: 100.0, pause=lambda seconds: None))
+    session = gateway.other()
+    reasons = [asked(session, f"hyperbit/{ARM}/goal", b"\xff")[0]["reason"] for _ in range(MOST_AT_ONCE + 1)]
+    assert reasons == ["not-utf8"] * MOST_AT_ONCE + ["not-explained"]
+    assert not gateway.planner.heard
