@@ -215,6 +215,15 @@ def test_a_pulse_with_an_unknown_sync_leaves_the_state_unknown() -> None:
     assert rig.journal.counts == [0] * 6
 
 
+def test_a_switch_of_unknown_outcome_is_not_counted_after_a_kill() -> None:
+    rig = Rig(channel=BISTABLE, sensed=0)
+    rig.journal.intend(0b000001, 0)  # of the process before: the states that the next one guesses
+    rig.connect()
+    rig.go(3 * TICK)
+    assert (rig.mode, unpack(rig.snapshot.homing)) == ("ready", ALL)
+    assert rig.journal.counts == [0] * 6
+
+
 def test_the_arm_is_ready_with_a_pulse_longer_than_the_travel() -> None:
     rig = ready(channel={**BISTABLE, "pulse": 4 * TRAVEL})
     rig.run(1, 0)

@@ -74,6 +74,20 @@ def test_a_master_that_was_halted_knows_no_states_until_boot():
     assert world.switches() == [1, 0]
 
 
+def test_a_heartbeat_that_was_not_sent_shortens_no_halt():
+    world = World().up()
+    period, timeout = world.timing.heartbeat, world.timing.heartbeat_timeout
+    world.frames()
+    world.until(lambda: any(frame.id == 0x77F for frame in world.buses["can0"].log or ()))
+    beat = world.now
+    world.run(period - 0.02)
+    world.buses["can0"].room = 0
+    world.run(0.03)  # the next heartbeat and its repetition are not sent
+    world.stalled = True
+    world.run(beat + timeout + 0.02 - world.now)
+    assert world.master.find_pause(world.now) is not None
+
+
 def test_tick_reports_a_halt_as_well():
     world = World().up()
     world.stall(0.5)
