@@ -8,14 +8,14 @@ point k + 1 to k lists all configurations with exit k near those that serve k + 
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.motion.plans.backward_step import COMPARED, DEEPEST_STEP, LEAF, SHALLOWEST, Counts, Step
 from hyperbit.controller.motion.plans.labels import Labels, Late, Neighbours
-from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.motion.plans.points import TrajectoryPoint
 from hyperbit.controller.obstacles.scene import scene_of
 from hyperbit.controller.search.chain import Chain, Places, chain_of, keys_of, states_of
 from hyperbit.controller.search.serving import UpperTips, serving, upper_tips, walks
@@ -35,20 +35,20 @@ SAMPLES, FEW_POINTS = 512, 200  # positions that show which exits are frequent, 
 LEAST_SPENT = 1.0  # [s] of work by which the speed of the computer is known
 
 
-def places_of(points: TrajectoryPoints, chain: Chain) -> Places:
-    """Returns the points of a trajectory for kernels."""
-    targets, fixed = [point.target for point in points], points.trajectory.fixed
+def places_of(points: Iterable[TrajectoryPoint], chain: Chain) -> Places:
+    """Returns points for kernels."""
+    targets, configurations = zip(*((point.target, point.configuration) for point in points), strict=True)
     size = 2 if chain.motions.shape[1] == 4 else 3
     given = np.zeros((len(targets), int(chain.words[-1]) + 1), np.int64)
-    for k in fixed:
-        if (configuration := points[k].configuration) is not None:
-            given[k] = keys_of(chain, configuration)[0]
+    for row, configuration in zip(given, configurations, strict=True):
+        if configuration is not None:
+            row[:] = keys_of(chain, configuration)[0]
     return Places(
         np.array([target.position for target in targets]),
         np.array([target.row[size:] for target in targets]),
         np.array([target.radius for target in targets]),
         np.array([target.chord if target.oriented else np.inf for target in targets]),
-        np.array([k in fixed for k in range(len(targets))], dtype=np.bool_),
+        np.array([configuration is not None for configuration in configurations]),
         given,
     )
 
@@ -75,8 +75,10 @@ class CostToGo:
         neighbours: one for each thread.
     """
 
-    def __init__(self, points: TrajectoryPoints, threads: int, most_labels: int, most_tips: int) -> None:
-        solver, count = points.solver, len(points)
+    def __init__(
+        self, solver: Solver, points: Sequence[TrajectoryPoint], threads: int, most_labels: int, most_tips: int
+    ) -> None:
+        count = len(points)
         self.chain = chain_of(solver.manipulator, solver.weights, solver.least_weight, solver.whole_weights)
         self.places, self._solver, self._most_tips = places_of(points, self.chain), solver, most_tips
         memory, none = (np.empty(most_labels, np.int64), np.empty(most_labels)), np.zeros(count, np.int64)
@@ -89,7 +91,7 @@ class CostToGo:
         self.counts = self._lower = Counts(self.chain, len(self.chain.states))
         self.tips: UpperTips | None = None
         self._shares = dict[int, Array]()
-        self._serving = np.array([expected(solver, points[k].target) for k in range(count)])
+        self._serving = np.array([expected(solver, point.target) for point in points])
 
     def _level(self, end: int) -> None:
         """Sets the thresholds of all points before `end` to what the distances of the points prove."""

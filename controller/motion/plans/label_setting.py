@@ -8,7 +8,7 @@ optimum, or prove that each sequence costs more.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import NamedTuple
@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.motion.plans.cost_to_go import CostToGo
 from hyperbit.controller.motion.plans.labels import Neighbours, Pairs, cheapest, joined, scan
-from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.motion.plans.points import TrajectoryPoint
 from hyperbit.controller.search.chain import keys_of, states_of
 from hyperbit.controller.search.solution import EPSILON, SearchTime, proves
+from hyperbit.controller.search.solver import Solver
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -63,7 +64,7 @@ class BestSequence(NamedTuple):
 
 
 class LabelSetting:
-    """The search for fewest switches over one trajectory.
+    """The search for fewest switches over the points of one trajectory, or some of them in a row.
 
     It begins in the configuration `start` (B,), and ends early if `stop` returns true. `memory` is the greatest number
     of labels, of 16 bytes each; half as many tips of the upper modules are listed, of 20 bytes each.
@@ -74,14 +75,15 @@ class LabelSetting:
 
     def __init__(
         self,
-        points: TrajectoryPoints,
+        solver: Solver,
+        points: Sequence[TrajectoryPoint],
         start: Configuration,
         stop: Callable[[], bool] = lambda: False,
         threads: int = 1,
         memory: int = 1 << 22,
     ) -> None:
-        self._points, self._stop, self._solver, self._until = points, stop, points.solver, np.inf
-        self._to_go = CostToGo(points, threads, memory, memory >> 1)
+        self._points, self._stop, self._solver, self._until = points, stop, solver, np.inf
+        self._to_go = CostToGo(solver, points, threads, memory, memory >> 1)
         key, nothing = keys_of(self._to_go.chain, start), np.zeros(1, dtype=np.int64)
         self._most = memory >> 1  # configurations of all layers together
         self._most_listed = self._to_go.counts.affordable(PRICE_OF_LARGE)
@@ -130,7 +132,7 @@ class LabelSetting:
             now = time.perf_counter()
             if self.optimal or now + GROWTH * taken > self._until or width * len(self._points) > self._most:
                 break
-            if self._narrow(width) < width:
+            if self.narrow(width) < width:
                 break
             taken = time.perf_counter() - now
 
@@ -156,7 +158,7 @@ class LabelSetting:
     def _late(self) -> bool:
         return time.perf_counter() > self._until or self._stop()
 
-    def _narrow(self, width: int) -> int:
+    def narrow(self, width: int) -> int:
         """Searches a sequence through layers of the cheapest configurations; returns the width of the widest layer."""
         layers = [self._start]
         for k in range(len(self._points)):

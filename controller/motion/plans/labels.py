@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 LISTED, ROWS = 1 << 16, 1 << 12  # configurations and changes for which there is room at first
-AT_ONCE, AT_ONCE_IN_PART = 512, 64  # those between two checks of the deadline, or of the number found
+AT_ONCE, AT_ONCE_IN_PART = 512, 16  # those between two checks of the deadline, or of the number found
 
 
 class Labels(NamedTuple):

@@ -44,7 +44,7 @@ def brute_force(solver: Solver, trajectory: Trajectory, start: np.ndarray, clear
 def check(solver: Solver, trajectory: Trajectory, start: np.ndarray, clear: np.ndarray | None = None) -> None:
     """Checks that the search proves the optimum, and that its earlier bounds are valid."""
     least = brute_force(solver, trajectory, start, clear)
-    search = LabelSetting(TrajectoryPoints(solver, trajectory), start)
+    search = LabelSetting(solver, list(TrajectoryPoints(solver, trajectory)), start)
     assert search.best.bound <= least + 1e-9
     found = search.run(LONG)
     assert search.optimal
@@ -104,7 +104,7 @@ def test_configurations_keep_clear_of_obstacles():
     path = every[rng.choice(np.flatnonzero(clear), 2)]
     trajectory = through(np.arange(2.0), arm.tips(path)[:, :2, 3], 0.02)
     least = brute_force_pair(solver, trajectory, path[0], every, clear)
-    found = LabelSetting(TrajectoryPoints(solver, trajectory), path[0]).run(LONG)
+    found = LabelSetting(solver, list(TrajectoryPoints(solver, trajectory)), path[0]).run(LONG)
     assert (found.cost, found.bound) == (least, least)
 
 
@@ -117,9 +117,8 @@ def brute_force_pair(solver, trajectory, start, every, clear) -> float:
 def test_without_time_nothing_wrong_is_claimed(arm, densities):
     solver = Solver(arm.manipulator, densities)
     points = np.array([[0.3, 2.6], [0.32, 2.6], [0.34, 2.6]])
-    found = LabelSetting(
-        TrajectoryPoints(solver, through(np.arange(3.0), points, 0.002)), np.zeros(16, dtype=np.int64)
-    ).run(0.0)
+    trajectory = through(np.arange(3.0), points, 0.002)
+    found = LabelSetting(solver, list(TrajectoryPoints(solver, trajectory)), np.zeros(16, dtype=np.int64)).run(0.0)
     assert found.configurations is None
     assert found.bound == 3.0
 
@@ -128,7 +127,7 @@ def test_without_time_nothing_wrong_is_claimed(arm, densities):
 def test_no_bound_is_above_and_no_plan_below_the_truth(seed):
     case = random_case(seed, 1 << 13)
     least = least_cost(case)
-    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start, threads=2)
+    search = LabelSetting(case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, threads=2)
     found = search.run(LONG)
     assert found.bound <= least * (1 + 1e-9)
     assert found.cost >= least * (1 - 1e-9)
@@ -143,7 +142,7 @@ def labels_only(search: LabelSetting, stop=lambda: False) -> None:
 @pytest.mark.parametrize("seed", range(20, 28))
 def test_labels_alone_give_valid_bounds(seed):
     case = random_case(seed, 1 << 13)
-    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start, threads=2)
+    search = LabelSetting(case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, threads=2)
     labels_only(search)
     assert search._first_bound() <= least_cost(case) * (1 + 1e-9)
 
@@ -151,7 +150,9 @@ def test_labels_alone_give_valid_bounds(seed):
 def test_a_cancel_while_labels_are_computed_keeps_what_is_proven():
     case = random_case(1, 1 << 13)
     calls = iter(range(10**9))
-    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start, lambda: next(calls) > 3)
+    search = LabelSetting(
+        case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, lambda: next(calls) > 3
+    )
     labels_only(search, search._late)
     assert 0 < search._first_bound() <= least_cost(case) * (1 + 1e-9)
 
@@ -162,14 +163,17 @@ def test_what_a_cancel_raises_ends_all_threads():
     def cancel() -> bool:
         raise KeyboardInterrupt
 
-    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start, cancel, 2)
+    search = LabelSetting(case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, cancel, 2)
     with pytest.raises(KeyboardInterrupt):
         search.run(LONG)
 
 
 def test_without_memory_for_labels_what_is_proven_stays(monkeypatch):
     case = random_case(2, 1 << 13)
-    search, swept = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start), list[bool]()
+    search, swept = (
+        LabelSetting(case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start),
+        list[bool](),
+    )
 
     def fail(*_: object) -> None:
         swept.append(True)
@@ -185,8 +189,7 @@ def test_without_memory_for_labels_what_is_proven_stays(monkeypatch):
 def test_ten_thousand_equal_points_need_no_switch_after_the_first(arm, densities):
     solver = Solver(arm.manipulator, densities)
     points = np.tile(arm.manipulator.tip(np.zeros(16, dtype=np.int64))[:2, 3], (10_000, 1))
-    search = LabelSetting(
-        TrajectoryPoints(solver, through(np.arange(10_000.0), points, 0.002)), np.zeros(16, dtype=np.int64)
-    )
+    trajectory = through(np.arange(10_000.0), points, 0.002)
+    search = LabelSetting(solver, list(TrajectoryPoints(solver, trajectory)), np.zeros(16, dtype=np.int64))
     assert search.best.bound == 0.0
     assert search._to_go.labels.last[0] == 9_999
