@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperbit.controller.manipulator.frame_kernels import angle_between
+from hyperbit.controller.motion.plans import backward_step
 from hyperbit.controller.motion.plans.label_setting import LabelSetting
 from hyperbit.controller.motion.plans.points import TrajectoryPoints
 from hyperbit.controller.motion.trajectory import Trajectory, through
@@ -139,8 +140,12 @@ def labels_only(search: LabelSetting, stop=lambda: False) -> None:
     search._to_go.sweep(search._start.keys, np.inf, 0.5, stop)
 
 
+@pytest.mark.parametrize("paired", [False, True], ids=["near each", "pairs of lists"])
 @pytest.mark.parametrize("seed", range(20, 28))
-def test_labels_alone_give_valid_bounds(seed):
+def test_labels_alone_give_valid_bounds(seed, paired, monkeypatch):
+    if paired:  # pairs cost nothing
+        monkeypatch.setattr(backward_step, "JOINED", 0.0)
+        monkeypatch.setattr(backward_step, "LOOKUP", 0.0)
     case = random_case(seed, 1 << 13)
     search = LabelSetting(case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, threads=2)
     labels_only(search)
