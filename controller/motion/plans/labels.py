@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.kernel_types import F1, I1, I2, UNCOUNTED, named
 from hyperbit.controller.obstacles.scene import Scene, for_scenes
-from hyperbit.controller.search.chain import CHAIN, PLACES, Chain, Places, fits, state_of
+from hyperbit.controller.search.chain import CHAIN, PLACES, Chain, Places, fits, serves, state_of, write_tip
 from hyperbit.controller.search.changes import CHANGED, Changed, Found, room_for_changes
 from hyperbit.controller.search.neighbours import list_near
 
@@ -67,10 +67,8 @@ def judge(
         if not fits(chain, places, k, scene, changed.frames, keys, n, changed.module_states):
             rest[n], exits[n] = np.inf, -1
             continue
-        exit = k
-        while exit < labels.last[k] and fits(
-            chain, places, exit + 1, None, changed.frames, keys, n, changed.module_states
-        ):
+        exit, tip = k, write_tip(chain, keys, n, changed.frames)
+        while exit < labels.last[k] and serves(places, exit + 1, changed.frames, tip, keys, n):
             exit += 1
         low, high = labels.begins[exit], labels.ends[exit]
         end, key = high, keys[n, 0]
