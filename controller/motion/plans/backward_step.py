@@ -82,9 +82,8 @@ class Step:
         self._to_go, self._k, self._near, self._incumbent, self._late = to_go, k, near, incumbent, late
         self.spent = 0.0  # [s], see PRICE
         labels, self._far = to_go.labels, int(to_go.labels.last[k + 1])
-        exits = range(k + 1, self._far + 1)
         self._base = float(labels.thresholds[k + 1 : self._far + 1].min())
-        self._values = np.concatenate([labels.values[labels.begins[e] : labels.ends[e]] for e in exits])
+        self._values = labels.values[labels.of(k + 1)]
         least = float(to_go.least[k + 1 : self._far + 1].min())
         self._limit = (incumbent - to_go.unit - least) * (1 + EPSILON)  # greatest cost from the start
         self._fixed = bool(to_go.places.fixed[k + 1])
@@ -187,8 +186,7 @@ class Step:
             if (own := self._pair(depth)) is not None:
                 return np.array_split(own[:, None], max(len(own) // SHARE, 1))
             return walks(to_go.chain, to_go.tips, self._near)
-        keys = [labels.keys[labels.begins[e] : labels.ends[e]] for e in range(k, self._far + 1)]
-        own = np.concatenate(keys)[self._most(depth) - self._values >= to_go.chain.least * (1 - EPSILON)]
+        own = labels.keys[labels.of(k)][self._most(depth) - self._values >= to_go.chain.least * (1 - EPSILON)]
         return np.array_split(own[:, None], max(len(own) // SHARE, 1))
 
     def _pair(self, depth: int) -> Integers | None:

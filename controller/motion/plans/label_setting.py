@@ -304,10 +304,9 @@ class LabelSetting:
 
     def _labels(self, k: int) -> tuple[Integers, Array]:
         """Returns keys (n,) and values (n,) of labels below the least threshold of a configuration for point k."""
-        labels, low = self._to_go.labels, self._low(k)
-        parts = [slice(labels.begins[e], labels.ends[e]) for e in range(k, labels.last[k] + 1)]
-        keys, values = (np.concatenate([array[part] for part in parts]) for array in (labels.keys, labels.values))
-        below = values < low * (1 - EPSILON)
+        labels, part = self._to_go.labels, self._to_go.labels.of(k)
+        keys, values = labels.keys[part], labels.values[part]
+        below = values < self._low(k) * (1 - EPSILON)
         return keys[below], values[below]
 
     def _scan(self, keys: Integers, rooms: Array, labels: Integers, values: Array) -> tuple[Integers, Integers, Array]:

@@ -30,6 +30,11 @@ class Labels(NamedTuple):
     thresholds: Array  # shape (n,)
     last: Integers  # farthest exit of a configuration that serves each point, shape (n,)
 
+    def of(self, k: int) -> slice:
+        """Returns the labels of all configurations that serve point k; those of the last points come first."""
+        last = int(self.last[k])
+        return slice(int(self.begins[last]), int(self.ends[k : last + 1].max()))
+
 
 class Pairs(NamedTuple):
     """Configurations near others."""
