@@ -57,7 +57,7 @@ def by_bits(chain: Chain) -> bool:
 def groups(chain: Chain, keys: Integers) -> tuple[Groups, Groups]:
     """Returns keys (n,) by their lowest, and by their highest, modules."""
     ends = np.append(chain.shifts, chain.shifts[-1] + int(chain.masks[-1]).bit_length())
-    modules, bits, total = len(chain.states), min(len(keys).bit_length() + 3, MOST_BITS), int(ends[-1])
+    modules, bits, total = len(chain.states), min(len(keys).bit_length() + 2, MOST_BITS), int(ends[-1])
     middle = min(max(int(np.searchsorted(ends, total / 2)), 1), modules - 1)
     last = min(max(int(np.searchsorted(ends, bits, side="right")) - 1, 1), middle)
     first = max(min(int(np.searchsorted(ends, total - bits)), modules - 1), middle)
@@ -70,8 +70,8 @@ def groups(chain: Chain, keys: Integers) -> tuple[Groups, Groups]:
             ordered = ((turned & ((1 << rest) - 1)) << width) | (turned >> rest)
         else:
             ordered = np.sort(keys)
-        counts = np.bincount((ordered >> shift) & mask, minlength=mask + 1)
-        starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+        starts = np.zeros(mask + 2, np.int32)
+        np.cumsum(np.bincount((ordered >> shift) & mask, minlength=mask + 1), dtype=np.int32, out=starts[1:])
         result.append(Groups(ordered, starts, shift, mask, low, high))
     return result[0], result[1]
 

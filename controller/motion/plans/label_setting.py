@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.motion.plans.cost_to_go import CostToGo
-from hyperbit.controller.motion.plans.labels import Neighbours, Pairs, cheapest, joined, scan
+from hyperbit.controller.motion.plans.labels import Neighbours, Pairs, cheapest, joined, near_labels
 from hyperbit.controller.motion.plans.points import TrajectoryPoint
 from hyperbit.controller.search.chain import keys_of, states_of
 from hyperbit.controller.search.solution import EPSILON, SearchTime, proves
@@ -298,8 +298,8 @@ class LabelSetting:
         if part:
             few = few[np.argsort(values[few], kind="stable")[: int(price / (len(moving) * SCANNED + 1e-9))]]
         if len(few) and len(moving):
-            sources, targets, costs = self._scan(layer.keys[moving], room[moving], labels[few], values[few])
-            reached.append((targets[:, None], layer.costs[moving][sources] + costs, moving[sources]))
+            pairs = near_labels(to_go.chain, layer.keys[moving], room[moving], labels[few], values[few])
+            reached.append((pairs.keys, layer.costs[moving][pairs.sources] + pairs.costs, moving[pairs.sources]))
         return self._layer(k, reached, ceiling, layer.of(staying)._replace(before=staying))
 
     def _labels(self, k: int) -> tuple[Integers, Array]:
@@ -308,16 +308,6 @@ class LabelSetting:
         keys, values = labels.keys[part], labels.values[part]
         below = values < self._low(k) * (1 - EPSILON)
         return keys[below], values[below]
-
-    def _scan(self, keys: Integers, rooms: Array, labels: Integers, values: Array) -> tuple[Integers, Integers, Array]:
-        """Returns sources, labels and costs of all pairs of keys (n, 1) and labels (m,) within the keys' rooms."""
-        size = 1 << 16
-        while True:
-            sources, targets, costs = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size)
-            count = scan(self._to_go.chain, keys, rooms, labels, values, sources, targets, costs)
-            if count >= 0:
-                return sources[:count], targets[:count], costs[:count]
-            size *= 4
 
     def _neighbours(self, k: int, keys: Integers, budgets: Array, most: int, part: bool) -> Pairs | None:
         """Lists neighbours in all threads, see Neighbours.near."""

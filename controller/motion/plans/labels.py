@@ -121,6 +121,16 @@ def scan(
     return count
 
 
+def near_labels(chain: Chain, keys: Integers, rooms: Array, labels: Integers, values: Array) -> Pairs:
+    """Returns all pairs of keys (n, 1) and labels (m,) within the keys' rooms (n,), see `scan`."""
+    size = 1 << 16
+    while True:
+        sources, targets, costs = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size)
+        if (count := scan(chain, keys, rooms, labels, values, sources, targets, costs)) >= 0:
+            return Pairs(sources[:count], targets[:count, None], costs[:count])
+        size *= 4
+
+
 class Neighbours:
     """Lists configurations near others for one thread; holds the memory for it."""
 
