@@ -67,22 +67,6 @@ class Trajectory:
         frame[: len(position), 3], frame[:3, :3] = position, self.rotations[point]
         return frame
 
-    def serve(self, tips: Array, points: slice) -> NDArray[np.bool_]:
-        """Returns whether tips (m, 4, 4) are within the tolerances of some points (k), shape (m, k).
-
-        Points given as configurations count as missed, because a tip does not determine its configuration.
-        """
-        away = np.linalg.norm(tips[:, None, : self.positions.shape[1], 3] - self.positions[points], axis=2)
-        served = away <= self.tolerances[points]
-        if self.fixed:
-            free = [k not in self.fixed for k in range(*points.indices(len(self.times)))]
-            served &= np.array(free, dtype=np.bool_)  # the type is needed for an empty list
-        turns = self.turns[points]
-        if np.isfinite(turns).any():
-            chords = np.linalg.norm(tips[:, None, :3, :3] - self.rotations[points], axis=(2, 3)) / math.sqrt(2.0)
-            served &= (chords <= 2 * np.sin(np.minimum(turns, math.pi) / 2)) | (turns >= math.pi)
-        return np.asarray(served)
-
     def between(self, point: int) -> bool:
         return len(self.waypoints) < len(self.times) and int(self.waypoints[self.next(point)]) != point
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from hyperbit.controller.motion.plans.lookahead import LookAhead
+from hyperbit.controller.motion.plans.label_setting import LabelSetting
 from hyperbit.controller.motion.plans.point_by_point import PointByPoint
 from hyperbit.controller.motion.plans.points import TrajectoryPoints
 from hyperbit.controller.motion.plans.transitions import TransitionPlanner
@@ -140,10 +140,9 @@ def test_looking_ahead_switches_a_quarter_less_than_the_cheapest_each_time(solve
     for goal, tolerance in zip(rest, tolerances, strict=True):
         found = solver.solve(solver.target(goal, float(tolerance)), own, timeout=10.0)
         own, cheapest = found.configuration, cheapest + found.switches
-    ahead = LookAhead(TrajectoryPoints(solver, trajectory), start, 1)
-    for _ in rest:
-        ahead.extend()
-    chosen = [start, *ahead.decide(len(rest))]
+    search = LabelSetting(solver, list(TrajectoryPoints(solver, trajectory))[1:], start)
+    search.narrow(64)
+    chosen = [start, *search.best.configurations]
     tips = solver.manipulator.tips(chosen)[:, :2, 3]
     assert farthest(times, WAYPOINTS, trajectory, tips) <= 0.02
     switches = sum(solver.manipulator.switches(a, b) for a, b in pairwise(chosen))

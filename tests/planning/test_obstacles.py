@@ -3,8 +3,10 @@
 from typing import Any
 
 import numpy as np
+import pytest
 
 from hyperbit.controller.planning.core.tasks import BuildScene, CheckStages, CheckStanding, PlanGoal
+from hyperbit.controller.planning.workers import computations
 from hyperbit.controller.program import Begun, Cancel, Clearance, Program, Question, Replaced, Replacement, unpack
 from hyperbit.controller.refusals import codes
 from tests.planning.rig.desk import Desk
@@ -116,8 +118,9 @@ def test_a_program_that_was_only_offered_is_parked_and_checked(desk: Desk) -> No
     assert "goal a was aborted: it would collide: " in desk.inbox.next("obstacles")["message"]
 
 
-def test_a_replacement_that_was_only_sent_is_parked_and_checked(desk: Desk) -> None:
-    desk.goal(A, B, step=10)
+def test_a_replacement_that_was_only_sent_is_parked_and_checked(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(computations, "PLANNING_TIME", 0.0)  # the first plan has switches to save
+    desk.goal(A, B, (7, 0, 2, 0), A, (2, 2, 1, 0), (5, 1, 4, 0), B, step=10)
     program = desk.executor.expect(Program)
     desk.executor.accept(program)
     better = desk.executor.expect(Replacement)  # of look-ahead; not answered yet

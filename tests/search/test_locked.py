@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperbit.controller.manipulator.locked import lock_actuators, transferred
-from hyperbit.controller.motion.plans.lookahead import LookAhead
+from hyperbit.controller.motion.plans.label_setting import LabelSetting
 from hyperbit.controller.motion.plans.points import TrajectoryPoints
 from hyperbit.controller.motion.trajectory import through
 from hyperbit.controller.search.method import METHODS
@@ -69,9 +69,9 @@ def test_many_ways_along_a_trajectory_are_found_where_few_actuators_are_free(fre
     for _ in solver.expect(start, 0.01):
         pass
     tips = reduced.tips(rng.integers(0, reduced.states, (5, 6)))[:, :2, 3]
-    ahead = LookAhead(TrajectoryPoints(solver, through(np.arange(5.0), tips, 0.01)), start)
-    for _ in tips:
-        ahead.extend()
-    way = ahead.decide(5)
+    search = LabelSetting(solver, list(TrajectoryPoints(solver, through(np.arange(5.0), tips, 0.01))), start)
+    search.narrow(64)
+    way = search.best.configurations
+    assert way is not None
     assert all(np.linalg.norm(reduced.tip(c)[:2, 3] - tip) <= 0.01 for c, tip in zip(way, tips, strict=True))
     assert len(every_configuration(reduced)) == 2**freed

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperbit.controller.motion.plans.labels import Late, Neighbours, cheapest
+from hyperbit.controller.motion.plans.labels import Late, Neighbours, Pairs, cheapest, joined
 from hyperbit.controller.search.chain import Chain, states_of
+from hyperbit.controller.search.pairs import Pairing
 from hyperbit.controller.search.serving import Walk, serving, walks
 from hyperbit.controller.search.solution import EPSILON
 
@@ -29,6 +30,7 @@ SHALLOWEST, DEEPEST_STEP = -8, 12  # least and greatest rise of a threshold in o
 # Prices [s]: a configuration of the lower modules; one that serves a point, found and judged; its neighbours, among n
 # configurations: 2 us + 10 ns * n^0.75, and 2 us for each of them that serves.
 LEAF, COMPARED, JUDGED, FOUND, FIRST_PRICE, PRICE, POWER = 40e-9, 15e-9, 0.6e-6, 2e-6, 2e-6, 10e-9, 0.75
+JOINED, LOOKUP = 1.5e-6, 80e-9  # [s] of one of two lists that are joined, and of a change that is looked up
 SLACK_OF_WORK = 4.0  # a step that takes so many times as long as expected is given up
 PARTS, DEEPEST = 4, 40  # steps of prices in a least weight; greatest budget with a price of its own
 
@@ -59,6 +61,14 @@ class Counts:
         counts = self._counts[at]
         return np.where(at < PARTS, JUDGED, FIRST_PRICE + PRICE * counts**POWER + FOUND * share * counts)
 
+    def joins(self, budgets: Array, least: float) -> Array:
+        """Returns the times [s] to find the pairs of a configuration in another list; of the lowest half of an arm."""
+        lookups = [
+            self._counts[np.clip(np.floor(most / self._unit + 1e-6), 0, len(self._counts) - 1).astype(int)]
+            for most in (budgets / 2, (budgets - least) / 2)
+        ]
+        return np.asarray(JOINED + LOOKUP * (lookups[0] + lookups[1]))
+
     def affordable(self, price: float) -> float:
         """Returns the greatest budget whose list takes at most a time [s]."""
         most = (max(price - FIRST_PRICE, 0.0) / PRICE) ** (1 / POWER)
@@ -72,12 +82,13 @@ class Step:
         self._to_go, self._k, self._near, self._incumbent, self._late = to_go, k, near, incumbent, late
         self.spent = 0.0  # [s], see PRICE
         labels, self._far = to_go.labels, int(to_go.labels.last[k + 1])
-        exits = range(k + 1, self._far + 1)
         self._base = float(labels.thresholds[k + 1 : self._far + 1].min())
-        self._values = np.concatenate([labels.values[labels.begins[e] : labels.ends[e]] for e in exits])
+        self._values = labels.values[labels.of(k + 1)]
         least = float(to_go.least[k + 1 : self._far + 1].min())
         self._limit = (incumbent - to_go.unit - least) * (1 + EPSILON)  # greatest cost from the start
         self._fixed = bool(to_go.places.fixed[k + 1])
+        self._joins = bool(to_go.joins[k] and to_go.joins[k + 1])
+        self._pairing: Pairing | None = None
 
     def depth(self, limit: float, deepest: int) -> int | None:
         """Returns how many least weights the threshold rises over the least of the next ones within a time [s]."""
@@ -98,14 +109,22 @@ class Step:
         return self._most(depth) - self._base
 
     def _expected(self, depth: int) -> float:
-        to_go, share = self._to_go, self._to_go.share(self._k)
-        time = float(to_go.counts.prices(self._most(depth) - self._values, share).sum())
+        to_go = self._to_go
+        time = float(self._prices(self._most(depth) - self._values, depth).sum())
         if self._enumerates(depth):
             thresholds = to_go.labels.thresholds[self._k + 1 : self._far + 1]
             shares = to_go.shares(self._k + 1)
             listing, count = to_go.expected(self._k + 1, self._limit)
-            time += listing + count * float((shares * to_go.counts.prices(self._most(depth) - thresholds, share)).sum())
+            time += listing + count * float((shares * self._prices(self._most(depth) - thresholds, depth)).sum())
         return time
+
+    def _prices(self, budgets: Array, depth: int) -> Array:
+        """Returns the times [s] to find labels near configurations, by their budgets (...)."""
+        to_go, near = self._to_go, self._to_go.counts.prices(budgets, self._to_go.share(self._k))
+        if not (self._joins and self._enumerates(depth)):
+            return near
+        apart = budgets > self._budget(depth) * (1 + EPSILON)
+        return np.where(apart, near, np.minimum(near, to_go.half.joins(budgets, to_go.chain.least)))
 
     def _enumerates(self, depth: int) -> bool:
         """Returns whether configurations without labels must be listed."""
@@ -164,10 +183,22 @@ class Step:
         if self._enumerates(depth):
             assert to_go.tips is not None
             self.spent += to_go.expected(k, self._limit)[0]
+            if (own := self._pair(depth)) is not None:
+                return np.array_split(own[:, None], max(len(own) // SHARE, 1))
             return walks(to_go.chain, to_go.tips, self._near)
-        keys = [labels.keys[labels.begins[e] : labels.ends[e]] for e in range(k, self._far + 1)]
-        own = np.concatenate(keys)[self._most(depth) - self._values >= to_go.chain.least * (1 - EPSILON)]
+        own = labels.keys[labels.of(k)][self._most(depth) - self._values >= to_go.chain.least * (1 - EPSILON)]
         return np.array_split(own[:, None], max(len(own) // SHARE, 1))
+
+    def _pair(self, depth: int) -> Integers | None:
+        """Prepares the pairs of two lists, if that is cheaper; returns the keys (n,) that serve point k + 1."""
+        self._pairing, budget, to_go = None, np.array(self._budget(depth)), self._to_go
+        if not self._joins or self._prices(budget, depth) == to_go.counts.prices(budget, to_go.share(self._k)):
+            return None
+        lists = [to_go.all_serving(k, self._incumbent, self._late) for k in (self._k, self._k + 1)]
+        if lists[0] is None or lists[1] is None:
+            return None
+        self._pairing = Pairing(to_go.chain, lists[0], float(budget))
+        return lists[1]
 
     def _keys(self, part: Walk | Integers) -> Iterator[Integers]:
         """Yields the keys (n, 1) of a part."""
@@ -186,14 +217,21 @@ class Step:
         rest, _ = neighbours.judged(to_go.labels, k + 1, keys)
         budgets = self._most(depth) - rest
         use = np.flatnonzero(budgets >= (0.0 if self._fixed else to_go.chain.least * (1 - EPSILON)))
-        self.spent += float(to_go.counts.prices(budgets, to_go.share(k)).sum())
+        self.spent += float(self._prices(budgets[np.isfinite(budgets)], depth).sum())
         if self.spent > self._allowed:
             return None
-        found = neighbours.near(k, keys[use], budgets[use], MOST_FOUND, self._late)
-        if found is None:
+        parts, pairing = list[Pairs](), self._pairing
+        if pairing is not None:
+            within = budgets[use] <= self._budget(depth) * (1 + EPSILON)
+            some, use = use[within], use[~within]
+            sources, others, costs = pairing.near(keys[some, 0], budgets[some] + to_go.chain.least * 1e-6)
+            parts.append(Pairs(some[sources], others[:, None], costs))
+        listed = neighbours.near(k, keys[use], budgets[use], MOST_FOUND, self._late)
+        if listed is None:
             return None
-        near, values = found.keys, rest[use][found.sources] + found.costs
-        if to_go.labels.last[k] > k:
+        found = joined([*parts, listed._replace(sources=use[listed.sources])])
+        near, values = found.keys, rest[found.sources] + found.costs
+        if to_go.labels.last[k] > k or pairing is not None:
             _, exits = neighbours.judged(to_go.labels, k, near)
             keep = exits == k
             near, values = near[keep], values[keep]

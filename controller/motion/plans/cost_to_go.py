@@ -8,17 +8,19 @@ point k + 1 to k lists all configurations with exit k near those that serve k + 
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.motion.plans.backward_step import COMPARED, DEEPEST_STEP, LEAF, SHALLOWEST, Counts, Step
 from hyperbit.controller.motion.plans.labels import Labels, Late, Neighbours
-from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.motion.plans.points import TrajectoryPoint
 from hyperbit.controller.obstacles.scene import scene_of
 from hyperbit.controller.search.chain import Chain, Places, chain_of, keys_of, states_of
-from hyperbit.controller.search.serving import UpperTips, serving, upper_tips, walks
+from hyperbit.controller.search.pairs import by_bits
+from hyperbit.controller.search.serving import UpperTips, Walk, serving, upper_tips, walks
 from hyperbit.controller.search.solution import EPSILON
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.search.target import SearchTarget
@@ -35,20 +37,20 @@ SAMPLES, FEW_POINTS = 512, 200  # positions that show which exits are frequent, 
 LEAST_SPENT = 1.0  # [s] of work by which the speed of the computer is known
 
 
-def places_of(points: TrajectoryPoints, chain: Chain) -> Places:
-    """Returns the points of a trajectory for kernels."""
-    targets, fixed = [point.target for point in points], points.trajectory.fixed
+def places_of(points: Iterable[TrajectoryPoint], chain: Chain) -> Places:
+    """Returns points for kernels."""
+    targets, configurations = zip(*((point.target, point.configuration) for point in points), strict=True)
     size = 2 if chain.motions.shape[1] == 4 else 3
     given = np.zeros((len(targets), int(chain.words[-1]) + 1), np.int64)
-    for k in fixed:
-        if (configuration := points[k].configuration) is not None:
-            given[k] = keys_of(chain, configuration)[0]
+    for row, configuration in zip(given, configurations, strict=True):
+        if configuration is not None:
+            row[:] = keys_of(chain, configuration)[0]
     return Places(
         np.array([target.position for target in targets]),
         np.array([target.row[size:] for target in targets]),
         np.array([target.radius for target in targets]),
         np.array([target.chord if target.oriented else np.inf for target in targets]),
-        np.array([k in fixed for k in range(len(targets))], dtype=np.bool_),
+        np.array([configuration is not None for configuration in configurations]),
         given,
     )
 
@@ -75,8 +77,10 @@ class CostToGo:
         neighbours: one for each thread.
     """
 
-    def __init__(self, points: TrajectoryPoints, threads: int, most_labels: int, most_tips: int) -> None:
-        solver, count = points.solver, len(points)
+    def __init__(
+        self, solver: Solver, points: Sequence[TrajectoryPoint], threads: int, most_labels: int, most_tips: int
+    ) -> None:
+        count = len(points)
         self.chain = chain_of(solver.manipulator, solver.weights, solver.least_weight, solver.whole_weights)
         self.places, self._solver, self._most_tips = places_of(points, self.chain), solver, most_tips
         memory, none = (np.empty(most_labels, np.int64), np.empty(most_labels)), np.zeros(count, np.int64)
@@ -88,8 +92,14 @@ class CostToGo:
         self.neighbours = [Neighbours(self.chain, self.places, scene, rows) for scene in scenes]
         self.counts = self._lower = Counts(self.chain, len(self.chain.states))
         self.tips: UpperTips | None = None
-        self._shares = dict[int, Array]()
-        self._serving = np.array([expected(solver, points[k].target) for k in range(count)])
+        self._shares, self._lists, self._most_serving = (
+            dict[int, Array](),
+            dict[int, Integers | None](),
+            most_labels >> 2,
+        )
+        self._serving = np.array([expected(solver, point.target) for point in points])
+        self.joins = by_bits(self.chain) & (self._serving < self._most_serving) & ~self.places.fixed
+        self.half = Counts(self.chain, len(self.chain.states) // 2)
 
     def _level(self, end: int) -> None:
         """Sets the thresholds of all points before `end` to what the distances of the points prove."""
@@ -122,6 +132,7 @@ class CostToGo:
             return
         self.used, self.labels.begins[:], self.labels.ends[:] = 0, 0, 0
         near = self.chain.costs[np.arange(len(self.chain.states)), states_of(self.chain, start)[0]]
+        self.near, self._lists = np.ascontiguousarray(near), {}
         threads, work, began = len(self.neighbours), seconds * len(self.neighbours), time.perf_counter()
         spent, limit, deepest = 0.0, 0.0, DEEPEST_STEP
         for k in range(count - 2, -1, -1):
@@ -130,7 +141,7 @@ class CostToGo:
             work = min(work, (seconds - taken) * threads * speed)
             if (count - 2 - k) % max(count // LIMITS, 1) == 0:
                 limit, deepest = self._limit(k, work)
-            step = Step(self, k, np.ascontiguousarray(near), incumbent, late)
+            step = Step(self, k, self.near, incumbent, late)
             depth = step.depth(limit, deepest)
             while depth is not None and not step.run(depth):
                 depth = depth - 1 if depth > SHALLOWEST and not late() else None
@@ -149,6 +160,31 @@ class CostToGo:
             for found in serving(self.chain, self.tips, walk, near, budget * (1 + EPSILON), *where):
                 keys = found[:, None]
                 yield keys, near[modules, states_of(self.chain, keys)].sum(axis=1)
+
+    def all_serving(self, k: int, limit: float, late: Late) -> Integers | None:
+        """Returns all keys (n,) that serve point k, and others close to it; None if there is no room or time.
+
+        Their cost from the start is below a limit.
+        """
+        if k not in self._lists:
+            tips, near = self.tips, self.near
+            assert tips is not None
+            self._lists = {i: keys for i, keys in self._lists.items() if i == k + 1}
+            where = self.places.positions[k], float(self.places.radii[k])
+            parts, room = list[Integers](), [self._most_serving]
+
+            def listed(walk: Walk) -> None:
+                for found in serving(self.chain, tips, walk, near, limit * (1 + EPSILON), *where):
+                    parts.append(found)
+                    room[0] -= len(found)
+                    if room[0] < 0 or late():
+                        room[0] = -1
+                        return
+
+            with ThreadPoolExecutor(len(self.neighbours)) as pool:
+                list(pool.map(listed, walks(self.chain, tips, near)))
+            self._lists[k] = np.sort(np.concatenate([np.empty(0, np.int64), *parts])) if room[0] >= 0 else None
+        return self._lists[k]
 
     def share(self, k: int) -> float:
         """Returns about which share of all configurations serves point k."""
@@ -172,6 +208,12 @@ class CostToGo:
         self._shares[k] = np.asarray(np.bincount(np.maximum(served, 1) - 1, minlength=last - k + 1) / len(points))
         return self._shares[k]
 
+    def _prices(self, k: int, budgets: Array) -> Array:
+        """Returns the times [s] for one configuration of each point from the second to k + 1, and each budget (m,)."""
+        near = self.counts.prices(budgets)
+        joins = np.array([self.joins[i] and self.joins[i - 1] for i in range(1, k + 2)])
+        return np.where(joins[:, None], np.minimum(near, self.half.joins(budgets, self.chain.least)), near)
+
     def _limit(self, k: int, work: float) -> tuple[float, int]:
         """Returns time [s] and greatest depth of one step, so that all steps to the first point take about `work`.
 
@@ -181,7 +223,8 @@ class CostToGo:
         costs = self.chain.least * np.arange(1.0, DEEPEST_STEP)
         parts = np.array([self.expected(i, self._incumbent - self.unit - self.least[i]) for i in range(1, k + 2)])
         far = np.array([[self.shares(i)[-1] if k < FEW_POINTS else 1.0] for i in range(1, k + 2)])
-        prices = far * self.counts.prices(costs) + (1 - far) * self.counts.prices(costs - self.chain.least)
+        deep, shallow = (self._prices(k, budgets) for budgets in (costs, costs - self.chain.least))
+        prices = far * deep + (1 - far) * shallow
         times = parts[:, :1] + parts[:, 1:] * prices
         least = work / (LEAST_PART * (k + 1))
         if (self.labels.last[: k + 1] > np.arange(k + 1)).mean() > 0.5:

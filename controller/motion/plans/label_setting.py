@@ -8,7 +8,7 @@ optimum, or prove that each sequence costs more.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import NamedTuple
@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.motion.plans.cost_to_go import CostToGo
-from hyperbit.controller.motion.plans.labels import Neighbours, Pairs, cheapest, joined, scan
-from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.motion.plans.labels import Neighbours, Pairs, cheapest, joined, near_labels
+from hyperbit.controller.motion.plans.points import TrajectoryPoint
 from hyperbit.controller.search.chain import keys_of, states_of
 from hyperbit.controller.search.solution import EPSILON, SearchTime, proves
+from hyperbit.controller.search.solver import Solver
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -53,6 +54,9 @@ class Layer(NamedTuple):
     rest: Array  # lower bound of the cost to go, shape (n,)
     exits: Integers  # shape (n,)
 
+    def of(self, rows: Integers) -> "Layer":
+        return Layer(*(array[rows] for array in self))  # type: ignore[arg-type]
+
 
 class BestSequence(NamedTuple):
     """The cheapest sequence found of configurations that serve all points of a trajectory."""
@@ -63,7 +67,7 @@ class BestSequence(NamedTuple):
 
 
 class LabelSetting:
-    """The search for fewest switches over one trajectory.
+    """The search for fewest switches over the points of one trajectory, or some of them in a row.
 
     It begins in the configuration `start` (B,), and ends early if `stop` returns true. `memory` is the greatest number
     of labels, of 16 bytes each; half as many tips of the upper modules are listed, of 20 bytes each.
@@ -74,19 +78,19 @@ class LabelSetting:
 
     def __init__(
         self,
-        points: TrajectoryPoints,
+        solver: Solver,
+        points: Sequence[TrajectoryPoint],
         start: Configuration,
         stop: Callable[[], bool] = lambda: False,
         threads: int = 1,
         memory: int = 1 << 22,
     ) -> None:
-        self._points, self._stop, self._solver, self._until = points, stop, points.solver, np.inf
-        self._to_go = CostToGo(points, threads, memory, memory >> 1)
-        key, nothing = keys_of(self._to_go.chain, start), np.zeros(1, dtype=np.int64)
+        self._points, self._stop, self._solver, self._until = points, stop, solver, np.inf
+        self._to_go = CostToGo(solver, points, threads, memory, memory >> 1)
+        self._start = keys_of(self._to_go.chain, start)
         self._most = memory >> 1  # configurations of all layers together
         self._most_listed = self._to_go.counts.affordable(PRICE_OF_LARGE)
         self._most_budget = self._to_go.counts.affordable(PRICE_OF_ONE)
-        self._start = Layer(key, np.zeros(1), nothing, np.zeros(1), nothing)
         self.best = BestSequence(None, np.inf, 0.0)
         self._raise(self._first_bound())
 
@@ -117,7 +121,7 @@ class LabelSetting:
                 self._until = began + (BEAM + PROOF + SWEEP) * seconds
                 if not self.optimal:
                     left = self._until - time.perf_counter()
-                    self._to_go.sweep(self._start.keys, self.best.cost, left, self._late)
+                    self._to_go.sweep(self._start, self.best.cost, left, self._late)
                 self._widen(began + (BEAM + PROOF + SWEEP + GUIDED) * seconds)
             self._until = began + seconds
             self.prove()
@@ -130,7 +134,7 @@ class LabelSetting:
             now = time.perf_counter()
             if self.optimal or now + GROWTH * taken > self._until or width * len(self._points) > self._most:
                 break
-            if self._narrow(width) < width:
+            if self.narrow(width) < width:
                 break
             taken = time.perf_counter() - now
 
@@ -145,20 +149,24 @@ class LabelSetting:
                 return
             taken = time.perf_counter() - began
 
+    def _first_layer(self) -> Layer:
+        """Returns the start as a layer before the first point; its exit is negative if it does not serve that."""
+        return Layer(self._start, np.zeros(1), np.zeros(1, dtype=np.int64), *self._to_go.judged(0, self._start))
+
     def _first_bound(self) -> float:
         """Returns what the thresholds and labels prove without a search."""
-        rest, exits = self._to_go.judged(0, self._start.keys)
-        if exits[0] >= 0:
-            return float(rest[0])
+        start = self._first_layer()
+        if start.exits[0] >= 0:
+            return float(start.rest[0])
         step = 0.0 if self._to_go.places.fixed[0] else self._solver.least_weight
         return float(self._to_go.least[: self._to_go.labels.last[0] + 1].min()) + step
 
     def _late(self) -> bool:
         return time.perf_counter() > self._until or self._stop()
 
-    def _narrow(self, width: int) -> int:
+    def narrow(self, width: int) -> int:
         """Searches a sequence through layers of the cheapest configurations; returns the width of the widest layer."""
-        layers = [self._start]
+        layers = [self._first_layer()]
         for k in range(len(self._points)):
             following = self._cheapest(layers[-1], k, width)
             if following is None:
@@ -179,7 +187,7 @@ class LabelSetting:
 
     def _complete(self, ceiling: float) -> bool:
         """Proves that each sequence costs more than `ceiling`, or finds the cheapest; False without time or space."""
-        layers, room = [self._start], self._most
+        layers, room = [self._first_layer()], self._most
         for k in range(len(self._points)):
             following = self._next_layer(layers[-1], k, ceiling, min(MOST, room))
             if following is None:
@@ -227,7 +235,7 @@ class LabelSetting:
         # Of two labels of equal cost the one that serves longer is better: a point is worth the mean cost so far.
         worth = found.costs + found.rest - float(found.costs.min()) / (k + 1) * (found.exits - k)
         chosen = np.argsort(worth, kind="stable")[:width]
-        return Layer(*(array[chosen] for array in found))  # type: ignore[arg-type]
+        return found.of(chosen)
 
     def _far(self, layer: Layer, k: int) -> Layer | None:
         """Returns one configuration for a point that no neighbour serves, by a search for this goal alone."""
@@ -241,19 +249,23 @@ class LabelSetting:
                 return None
             configuration = solution.configuration
         key, cost = keys_of(chain, configuration), float(self._solver.cost(configuration, seed))
-        return self._layer(k, key, layer.costs[n : n + 1] + cost, np.array([n]), np.inf)
+        return self._layer(k, [(key, layer.costs[n : n + 1] + cost, np.array([n]))], np.inf)
 
     def _low(self, k: int) -> float:
         """Returns the least threshold of a configuration that serves point k."""
         labels = self._to_go.labels
         return float(labels.thresholds[k : labels.last[k] + 1].min())
 
-    def _layer(self, k: int, keys: Integers, costs: Array, before: Integers, ceiling: float) -> Layer:
+    def _layer(
+        self, k: int, found: Sequence[tuple[Integers, Array, Integers]], ceiling: float, staying: Layer | None = None
+    ) -> Layer:
         """Returns the cheapest of equal configurations for point k, up to a cost of the whole trajectory."""
-        rest, exits = self._to_go.judged(k, keys)
-        keep = np.flatnonzero(costs + rest <= ceiling * (1 + EPSILON))
-        chosen = keep[cheapest(keys[keep], costs[keep])]
-        return Layer(keys[chosen], costs[chosen], before[chosen], rest[chosen], exits[chosen])
+        keys, costs, before = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+        layer = Layer(keys, costs, before, *self._to_go.judged(k, keys))
+        if staying is not None:
+            layer = Layer(*(np.concatenate(arrays) for arrays in zip(staying, layer, strict=True)))
+        keep = np.flatnonzero(layer.costs + layer.rest <= ceiling * (1 + EPSILON))
+        return layer.of(keep[cheapest(layer.keys[keep], layer.costs[keep])])
 
     def _next_layer(self, layer: Layer, k: int, ceiling: float, most: int, part: bool = False) -> Layer | None:
         """Returns all configurations for point k of sequences within a cost of the whole trajectory.
@@ -261,10 +273,11 @@ class LabelSetting:
         Returns None if there are more than `most`, or if it is late. With `part`, some `most` of them suffice.
         """
         to_go, low, least, deeper = self._to_go, self._low(k), self._solver.least_weight, 0
-        rest, _ = to_go.judged(k, layer.keys)
+        if self._late():
+            return None
         room = ceiling * (1 + EPSILON) - layer.costs
-        serves, (labels, values) = np.isfinite(rest), self._labels(k)
-        staying = np.flatnonzero(serves & (room >= rest))
+        serves, (labels, values) = layer.exits >= k, self._labels(k)
+        staying = np.flatnonzero(serves & (room >= layer.rest))
         moving = np.flatnonzero(~serves & (room >= float(to_go.least[k : to_go.labels.last[k] + 1].min())))
         budgets = room[moving] - low
         if part:
@@ -280,35 +293,21 @@ class LabelSetting:
         found = self._neighbours(k, layer.keys[moving], budgets + deeper * least, most, part)
         if found is None:
             return None
-        before, parts = [staying, moving[found.sources]], [layer.keys[staying], found.keys]
-        sums = [layer.costs[staying], layer.costs[moving][found.sources] + found.costs]
+        reached = [(found.keys, layer.costs[moving][found.sources] + found.costs, moving[found.sources])]
         few = np.flatnonzero(values < low - deeper * least * (1 - EPSILON))
         if part:
             few = few[np.argsort(values[few], kind="stable")[: int(price / (len(moving) * SCANNED + 1e-9))]]
         if len(few) and len(moving):
-            sources, targets, costs = self._scan(layer.keys[moving], room[moving], labels[few], values[few])
-            before.append(moving[sources])
-            parts.append(targets[:, None])
-            sums.append(layer.costs[moving][sources] + costs)
-        return self._layer(k, np.concatenate(parts), np.concatenate(sums), np.concatenate(before), ceiling)
+            pairs = near_labels(to_go.chain, layer.keys[moving], room[moving], labels[few], values[few])
+            reached.append((pairs.keys, layer.costs[moving][pairs.sources] + pairs.costs, moving[pairs.sources]))
+        return self._layer(k, reached, ceiling, layer.of(staying)._replace(before=staying))
 
     def _labels(self, k: int) -> tuple[Integers, Array]:
         """Returns keys (n,) and values (n,) of labels below the least threshold of a configuration for point k."""
-        labels, low = self._to_go.labels, self._low(k)
-        parts = [slice(labels.begins[e], labels.ends[e]) for e in range(k, labels.last[k] + 1)]
-        keys, values = (np.concatenate([array[part] for part in parts]) for array in (labels.keys, labels.values))
-        below = values < low * (1 - EPSILON)
+        labels, part = self._to_go.labels, self._to_go.labels.of(k)
+        keys, values = labels.keys[part], labels.values[part]
+        below = values < self._low(k) * (1 - EPSILON)
         return keys[below], values[below]
-
-    def _scan(self, keys: Integers, rooms: Array, labels: Integers, values: Array) -> tuple[Integers, Integers, Array]:
-        """Returns sources, labels and costs of all pairs of keys (n, 1) and labels (m,) within the keys' rooms."""
-        size = 1 << 16
-        while True:
-            sources, targets, costs = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size)
-            count = scan(self._to_go.chain, keys, rooms, labels, values, sources, targets, costs)
-            if count >= 0:
-                return sources[:count], targets[:count], costs[:count]
-            size *= 4
 
     def _neighbours(self, k: int, keys: Integers, budgets: Array, most: int, part: bool) -> Pairs | None:
         """Lists neighbours in all threads, see Neighbours.near."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.kernel_types import F1, I1, I2, UNCOUNTED, named
 from hyperbit.controller.obstacles.scene import Scene, for_scenes
-from hyperbit.controller.search.chain import CHAIN, PLACES, Chain, Places, fits, state_of
+from hyperbit.controller.search.chain import CHAIN, PLACES, Chain, Places, fits, serves, state_of, write_tip
 from hyperbit.controller.search.changes import CHANGED, Changed, Found, room_for_changes
 from hyperbit.controller.search.neighbours import list_near
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 LISTED, ROWS = 1 << 16, 1 << 12  # configurations and changes for which there is room at first
-AT_ONCE, AT_ONCE_IN_PART = 512, 64  # those between two checks of the deadline, or of the number found
+AT_ONCE, AT_ONCE_IN_PART = 512, 16  # those between two checks of the deadline, or of the number found
 
 
 class Labels(NamedTuple):
@@ -29,6 +29,11 @@ class Labels(NamedTuple):
     ends: Integers  # shape (n,)
     thresholds: Array  # shape (n,)
     last: Integers  # farthest exit of a configuration that serves each point, shape (n,)
+
+    def of(self, k: int) -> slice:
+        """Returns the labels of all configurations that serve point k; those of the last points come first."""
+        last = int(self.last[k])
+        return slice(int(self.begins[last]), int(self.ends[k : last + 1].max()))
 
 
 class Pairs(NamedTuple):
@@ -67,10 +72,8 @@ def judge(
         if not fits(chain, places, k, scene, changed.frames, keys, n, changed.module_states):
             rest[n], exits[n] = np.inf, -1
             continue
-        exit = k
-        while exit < labels.last[k] and fits(
-            chain, places, exit + 1, None, changed.frames, keys, n, changed.module_states
-        ):
+        exit, tip = k, write_tip(chain, keys, n, changed.frames)
+        while exit < labels.last[k] and serves(places, exit + 1, changed.frames, tip, keys, n):
             exit += 1
         low, high = labels.begins[exit], labels.ends[exit]
         end, key = high, keys[n, 0]
@@ -116,6 +119,16 @@ def scan(
                 sources[count], targets[count], costs[count] = n, labels[m], cost
                 count += 1
     return count
+
+
+def near_labels(chain: Chain, keys: Integers, rooms: Array, labels: Integers, values: Array) -> Pairs:
+    """Returns all pairs of keys (n, 1) and labels (m,) within the keys' rooms (n,), see `scan`."""
+    size = 1 << 16
+    while True:
+        sources, targets, costs = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size)
+        if (count := scan(chain, keys, rooms, labels, values, sources, targets, costs)) >= 0:
+            return Pairs(sources[:count], targets[:count, None], costs[:count])
+        size *= 4
 
 
 class Neighbours:

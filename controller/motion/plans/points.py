@@ -13,8 +13,6 @@ from hyperbit.controller.search.target import SearchTarget
 
 States = NDArray[np.uint8]
 
-FARTHEST = 64  # points ahead for which it is checked whether a configuration serves
-
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryPoint:
@@ -72,11 +70,6 @@ class TrajectoryPoints:
             target = self.solver.target(it.goal(index), float(it.tolerances[index]), float(it.turns[index]))
             point = self._points[index] = TrajectoryPoint(index, it, target)
         return point
-
-    def count_served(self, configurations: NDArray[np.integer], first: int) -> NDArray[np.int64]:
-        """Returns how many points in a row from `first` on, up to FARTHEST, each configuration (m, B) serves."""
-        served = self.trajectory.serve(self.solver.manipulator.tips(configurations), slice(first, first + FARTHEST))
-        return np.asarray(np.logical_and.accumulate(served, axis=1).sum(axis=1))
 
     def __iter__(self) -> Iterator[TrajectoryPoint]:
         return (self[index] for index in range(len(self)))

@@ -83,7 +83,7 @@ def look_ahead(
 
     The search takes `seconds`, None: WHOLE_TIME, or ends if `stop` returns true. Staging its answer takes extra time.
     """
-    search = LabelSetting(planner.points, previous, stop, *means)
+    search = LabelSetting(planner.solver, list(planner.points), previous, stop, *means)
     search.offer(
         np.array([solution.configuration for solution in found.solutions]), found.cost, found.solutions[0].bound
     )

@@ -15,7 +15,7 @@ from hyperbit.controller.manipulator.locked import lock_actuators, transferred
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.motion.decoding.goal import GoalRules, schedule
 from hyperbit.controller.motion.plans.description import describe_plan
-from hyperbit.controller.motion.plans.lookahead import Improvement, changed_points
+from hyperbit.controller.motion.plans.improvement import Improvement, changed_points
 from hyperbit.controller.motion.plans.plan import TrajectoryPlan
 from hyperbit.controller.motion.plans.point_by_point import PLANNING_TIME, PointByPoint
 from hyperbit.controller.motion.plans.transitions import TransitionPlanner, first_transition
@@ -224,7 +224,7 @@ def improve(model: ArmModel, task: tasks.ImprovePlan, proceed: Proceed) -> Itera
     current, keep_out = goal.plan, task.scene.keep_out
     points = [point._replace(deviation=d) for point, d in zip(goal.points, deviations, strict=True)]
     planner = TransitionPlanner(model.solver(task.tables, task.scene), current.trajectory, model.pace)
-    for better in Improvement(planner, current, task.begin).plans():
+    for better in Improvement(planner, current, task.begin, proceed).plans():
         proceed()
         if (changed := changed_points(current, better)) is None:
             continue

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from hyperbit.controller.arm.arm import load
-from hyperbit.controller.motion.plans.lookahead import LookAhead
+from hyperbit.controller.motion.plans.label_setting import LabelSetting
 from hyperbit.controller.motion.plans.point_by_point import PointByPoint
 from hyperbit.controller.motion.plans.points import TrajectoryPoints
 from hyperbit.controller.motion.plans.transitions import TransitionPlanner
@@ -37,10 +37,10 @@ def greedy(solver: Solver, start: np.ndarray, trajectory: Trajectory) -> list[np
 
 
 def ahead(solver: Solver, start: np.ndarray, trajectory: Trajectory) -> list[np.ndarray]:
-    look = LookAhead(TrajectoryPoints(solver, trajectory), start, 1)
-    for _ in trajectory.positions[1:]:
-        look.extend()
-    return [start, *look.decide(len(trajectory.times) - 1)]
+    search = LabelSetting(solver, list(TrajectoryPoints(solver, trajectory))[1:], start)
+    search.narrow(64)
+    assert search.best.configurations is not None
+    return [start, *search.best.configurations]
 
 
 def figures(solver: Solver, waypoints: np.ndarray, path_tolerance: float) -> list[str]:

@@ -11,7 +11,7 @@ from hyperbit.controller.manipulator.locked import lock_actuators
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.manipulator.notation import format_configuration, parse_configuration
 from hyperbit.controller.motion.decoding.goal import GoalRules, parse, schedule
-from hyperbit.controller.motion.plans.lookahead import LookAhead
+from hyperbit.controller.motion.plans.label_setting import LabelSetting
 from hyperbit.controller.motion.plans.point_by_point import PointByPoint
 from hyperbit.controller.motion.plans.points import TrajectoryPoints
 from hyperbit.controller.motion.plans.transitions import TransitionPlanner
@@ -87,10 +87,10 @@ def test_looking_ahead_keeps_the_configuration_and_does_not_hold_another(
     tip = manipulator.tip(parse_configuration(manipulator, FIRST))[:2, 3].tolist()
     near = {"position": [tip[0] + 1e-4, tip[1]]}
     goal = scheduled(manipulator, near, {"configuration": FIRST}, near)
-    ahead = LookAhead(TrajectoryPoints(solver, goal), np.zeros(16, dtype=np.int64))
-    for _ in range(3):
-        ahead.extend()
-    chosen = [format_configuration(manipulator, configuration) for configuration in ahead.decide(3)]
+    search = LabelSetting(solver, list(TrajectoryPoints(solver, goal)), np.zeros(16, dtype=np.int64))
+    search.narrow(64)
+    assert search.best.configurations is not None
+    chosen = [format_configuration(manipulator, configuration) for configuration in search.best.configurations]
     assert chosen[1] == chosen[2] == FIRST
 
 
@@ -110,8 +110,3 @@ def test_a_configuration_that_a_locked_actuator_rules_out_is_refused(arm: Arm, d
     start = reduced.manipulator.configuration(np.where(locked < 0, 0, locked))
     found = PointByPoint(TransitionPlanner(reduced, goal), "minimum-switch").plan(start)
     assert reduced.manipulator.actuator_states(found.solutions[0].configuration).tolist() == states.tolist()
-
-
-def test_no_points_after_a_configuration_that_is_the_last(manipulator: Manipulator) -> None:
-    goal = scheduled(manipulator, {"position": [0.55, 2.9]}, {"configuration": FIRST})
-    assert goal.serve(np.eye(4)[None], slice(2, 9)).shape == (1, 0)

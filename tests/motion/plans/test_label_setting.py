@@ -1,5 +1,6 @@
 """Whole trajectories: the optimum compared with brute force on small arms, and valid bounds."""
 
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 import numpy as np
@@ -8,16 +9,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperbit.controller.manipulator.frame_kernels import angle_between
+from hyperbit.controller.motion.plans import backward_step, label_setting
 from hyperbit.controller.motion.plans.label_setting import LabelSetting
 from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
+from hyperbit.controller.motion.plans.whole import plan_whole
 from hyperbit.controller.motion.trajectory import Trajectory, through
 from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, short_arms, spatial_arm
 from tests.motion.plans.exact_trajectories import least_cost, random_case
 from tests.obstacles.dense import Disc, obstacles_of
 
+POINTS = np.array([(0.3, 2.6), (0.2, 2.5)])
 LONG = 3600.0  # [s], far more than small arms take on any machine; a proof ends the search before
 
 
@@ -44,7 +50,7 @@ def brute_force(solver: Solver, trajectory: Trajectory, start: np.ndarray, clear
 def check(solver: Solver, trajectory: Trajectory, start: np.ndarray, clear: np.ndarray | None = None) -> None:
     """Checks that the search proves the optimum, and that its earlier bounds are valid."""
     least = brute_force(solver, trajectory, start, clear)
-    search = LabelSetting(TrajectoryPoints(solver, trajectory), start)
+    search = LabelSetting(solver, list(TrajectoryPoints(solver, trajectory)), start)
     assert search.best.bound <= least + 1e-9
     found = search.run(LONG)
     assert search.optimal
@@ -104,7 +110,7 @@ def test_configurations_keep_clear_of_obstacles():
     path = every[rng.choice(np.flatnonzero(clear), 2)]
     trajectory = through(np.arange(2.0), arm.tips(path)[:, :2, 3], 0.02)
     least = brute_force_pair(solver, trajectory, path[0], every, clear)
-    found = LabelSetting(TrajectoryPoints(solver, trajectory), path[0]).run(LONG)
+    found = LabelSetting(solver, list(TrajectoryPoints(solver, trajectory)), path[0]).run(LONG)
     assert (found.cost, found.bound) == (least, least)
 
 
@@ -117,9 +123,8 @@ def brute_force_pair(solver, trajectory, start, every, clear) -> float:
 def test_without_time_nothing_wrong_is_claimed(arm, densities):
     solver = Solver(arm.manipulator, densities)
     points = np.array([[0.3, 2.6], [0.32, 2.6], [0.34, 2.6]])
-    found = LabelSetting(
-        TrajectoryPoints(solver, through(np.arange(3.0), points, 0.002)), np.zeros(16, dtype=np.int64)
-    ).run(0.0)
+    trajectory = through(np.arange(3.0), points, 0.002)
+    found = LabelSetting(solver, list(TrajectoryPoints(solver, trajectory)), np.zeros(16, dtype=np.int64)).run(0.0)
     assert found.configurations is None
     assert found.bound == 3.0
 
@@ -128,7 +133,7 @@ def test_without_time_nothing_wrong_is_claimed(arm, densities):
 def test_no_bound_is_above_and_no_plan_below_the_truth(seed):
     case = random_case(seed, 1 << 13)
     least = least_cost(case)
-    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start, threads=2)
+    search = LabelSetting(case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, threads=2)
     found = search.run(LONG)
     assert found.bound <= least * (1 + 1e-9)
     assert found.cost >= least * (1 - 1e-9)
@@ -137,13 +142,17 @@ def test_no_bound_is_above_and_no_plan_below_the_truth(seed):
 
 def labels_only(search: LabelSetting, stop=lambda: False) -> None:
     search._to_go.list_tips(1.0)
-    search._to_go.sweep(search._start.keys, np.inf, 0.5, stop)
+    search._to_go.sweep(search._start, np.inf, 0.5, stop)
 
 
+@pytest.mark.parametrize("paired", [False, True], ids=["near each", "pairs of lists"])
 @pytest.mark.parametrize("seed", range(20, 28))
-def test_labels_alone_give_valid_bounds(seed):
+def test_labels_alone_give_valid_bounds(seed, paired, monkeypatch):
+    if paired:  # pairs cost nothing
+        monkeypatch.setattr(backward_step, "JOINED", 0.0)
+        monkeypatch.setattr(backward_step, "LOOKUP", 0.0)
     case = random_case(seed, 1 << 13)
-    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start, threads=2)
+    search = LabelSetting(case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, threads=2)
     labels_only(search)
     assert search._first_bound() <= least_cost(case) * (1 + 1e-9)
 
@@ -151,7 +160,9 @@ def test_labels_alone_give_valid_bounds(seed):
 def test_a_cancel_while_labels_are_computed_keeps_what_is_proven():
     case = random_case(1, 1 << 13)
     calls = iter(range(10**9))
-    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start, lambda: next(calls) > 3)
+    search = LabelSetting(
+        case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, lambda: next(calls) > 3
+    )
     labels_only(search, search._late)
     assert 0 < search._first_bound() <= least_cost(case) * (1 + 1e-9)
 
@@ -162,14 +173,92 @@ def test_what_a_cancel_raises_ends_all_threads():
     def cancel() -> bool:
         raise KeyboardInterrupt
 
-    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start, cancel, 2)
+    search = LabelSetting(case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, cancel, 2)
     with pytest.raises(KeyboardInterrupt):
         search.run(LONG)
 
 
+def long_search(solver: Solver, stop=lambda: False, points=((0.3, 2.6), (0.2, 2.5), (0.1, 2.4), (0.0, 2.3))):
+    """Returns the search over a trajectory of the paper's arm, which takes minutes to prove."""
+    trajectory = through(np.arange(float(len(points))), np.array(points), 0.002)
+    return LabelSetting(solver, list(TrajectoryPoints(solver, trajectory)), np.zeros(16, dtype=np.int64), stop)
+
+
+PHASES = {  # function, and how often it is called before
+    "narrow layers": ("_widen", 0),
+    "a proof": ("prove", 0),
+    "labels": ("sweep", 0),
+    "narrow layers with labels": ("_widen", 1),
+    "a proof with labels": ("prove", 1),
+}
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_a_cancel_ends_each_phase_and_keeps_what_is_proven(arm, densities, monkeypatch, phase):
+    monkeypatch.setattr(label_setting, "LEAST_SWEEP", 0.0)
+    solver, cancelled, asked = Solver(arm.manipulator, densities), list[bool](), list[bool]()
+    name, before = PHASES[phase]
+
+    def stop() -> bool:
+        asked.extend(cancelled)
+        return bool(cancelled)
+
+    search = long_search(solver, stop)
+    owner, calls = (search._to_go if name == "sweep" else search), list[None]()
+    original, bound = getattr(owner, name), search.best.bound
+
+    def begun(*arguments):
+        calls.append(None)
+        if len(calls) > before and not cancelled:
+            cancelled.append(True)
+        return original(*arguments)
+
+    monkeypatch.setattr(owner, name, begun)
+    found = search.run(2.0)
+    assert asked
+    assert bound <= found.bound <= found.cost
+    assert found.cost == np.inf or found.configurations is not None
+
+
+def test_a_point_out_of_reach_in_the_middle_is_named_and_ends_no_search_in_an_error(arm, densities):
+    solver = Solver(arm.manipulator, densities)
+    points = [(0.3, 2.6), (9.0, 9.0), (0.2, 2.6)]
+    found = long_search(solver, points=points).run(0.5)
+    assert found.configurations is None
+    assert found.bound >= 3.0
+    planner = TransitionPlanner(solver, through(np.arange(3.0), np.array(points), 0.002))
+    with pytest.raises(Refusal, match=r"waypoints\[1\]\.position"):
+        plan_whole(planner, np.zeros(16, dtype=np.int64), "minimum-switch")
+
+
+def test_with_a_deadline_of_0_the_first_plan_and_a_bound_are_given(arm, densities):
+    planner = TransitionPlanner(Solver(arm.manipulator, densities), through(np.arange(2.0), POINTS, 0.002))
+    found = plan_whole(planner, np.zeros(16, dtype=np.int64), "minimum-switch", seconds=0.0)
+    assert all(solution.within_tolerance for solution in found.solutions)
+    assert 0 < found.bound <= found.cost
+
+
+def test_two_proofs_at_once_prove_what_each_proves_alone():
+    cases = [random_case(seed, 1 << 13) for seed in (1, 3)]
+
+    def proof(case) -> tuple[float, float]:
+        found = LabelSetting(
+            case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, threads=2
+        ).run(LONG)
+        return found.cost, found.bound
+
+    with ThreadPoolExecutor(2) as pool:
+        for case, (cost, bound) in zip(cases, pool.map(proof, cases), strict=True):
+            assert cost == pytest.approx(least_cost(case))
+            assert bound == pytest.approx(cost)
+
+
 def test_without_memory_for_labels_what_is_proven_stays(monkeypatch):
     case = random_case(2, 1 << 13)
-    search, swept = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start), list[bool]()
+    search, swept = (
+        LabelSetting(case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start),
+        list[bool](),
+    )
 
     def fail(*_: object) -> None:
         swept.append(True)
@@ -185,8 +274,19 @@ def test_without_memory_for_labels_what_is_proven_stays(monkeypatch):
 def test_ten_thousand_equal_points_need_no_switch_after_the_first(arm, densities):
     solver = Solver(arm.manipulator, densities)
     points = np.tile(arm.manipulator.tip(np.zeros(16, dtype=np.int64))[:2, 3], (10_000, 1))
-    search = LabelSetting(
-        TrajectoryPoints(solver, through(np.arange(10_000.0), points, 0.002)), np.zeros(16, dtype=np.int64)
-    )
+    trajectory = through(np.arange(10_000.0), points, 0.002)
+    search = LabelSetting(solver, list(TrajectoryPoints(solver, trajectory)), np.zeros(16, dtype=np.int64))
     assert search.best.bound == 0.0
     assert search._to_go.labels.last[0] == 9_999
+    some = LabelSetting(solver, list(TrajectoryPoints(solver, trajectory))[:1000], np.zeros(16, dtype=np.int64))
+    some.narrow(4)
+    assert (some.best.cost, some.best.bound) == (0.0, 0.0)
+
+
+def test_ten_thousand_points_are_searched_within_their_memory(arm, densities):
+    """Without time for them all, a bound is known."""
+    solver, turns = Solver(arm.manipulator, densities), np.linspace(0, 20 * np.pi, 10_000)
+    points = np.column_stack((0.2 + 0.3 * np.cos(turns), 2.4 + 0.2 * np.sin(turns)))
+    search = long_search(solver, points=points)
+    found = search.run(1.0)
+    assert found.bound >= 2_000
