@@ -46,9 +46,7 @@ class Progress:
         end = self._a.now + remaining
         if not ran.replaced and ran.program.stages:
             earliest = (ran.program.begin or ran.at) + max(max(it.at, it.settled) for it in ran.program.stages)
-            require(
-                end >= earliest - ROUNDED, f"{ran.goal} is told to end at {end}, it cannot be before {earliest}"
-            )
+            require(end >= earliest - ROUNDED, f"{ran.goal} is told to end at {end}, it cannot be before {earliest}")
         self._foretold.setdefault(ran, []).append(end)
 
     def result(self, ran: Ran) -> None:
