@@ -133,7 +133,10 @@ def degrees_hint(value: float) -> str:
 def number_hint(text: str) -> str:
     """Returns what to write in place of a number that is given as text; "" if the text is no number."""
     if (comma := DECIMAL_COMMA.fullmatch(text.strip())) is not None:
-        return f"; write a decimal point: {comma[1]}.{comma[2]}"
+        decimal = f"{comma[1]}.{comma[2]}"
+        if len(comma[2]) == 3 and comma[1].lstrip("+-") != "0":
+            return f"; write {decimal}, or {comma[1]}{comma[2]} if the comma separates thousands"
+        return f"; write a decimal point: {decimal}"
     match = NUMBER.fullmatch(text.strip())
     if match is None:
         return ""

@@ -53,7 +53,9 @@ def csv_rows(path: Path) -> Iterator[CsvRow]:
 
 
 def check_columns(path: Path, columns: list[str]) -> None:
-    """Raises InputFaults if a column occurs twice, or commas do not separate the columns."""
+    """Raises InputFaults if a column occurs twice, commas do not separate the columns, or the file has another form."""
+    if columns and columns[0].startswith(("{", "[")):
+        raise InputFaults(path, ["a CSV file is needed; this file looks like JSON"])
     faults = [f"column {name!r} occurs twice" for k, name in enumerate(columns) if name in columns[:k]]
     for mark, name in ((";", "semicolons"), ("\t", "tabs")):
         if any(mark in column for column in columns):

@@ -83,6 +83,23 @@ def endpoints(config: zenoh.Config, kind: str) -> list[str]:
     return [text for each in found.values() for text in each] if isinstance(found, dict) else found
 
 
+def missing_peers(session: zenoh.Session, config: zenoh.Config) -> list[NoSession]:
+    """Returns why a session has no connection to endpoints of its configuration; [] if it has all."""
+    links = {parse_endpoint(link.dst)[1:] for link in session.info.links()}
+    tls, found = json.loads(config.get_json(TLS)), list[NoSession]()
+    for text in endpoints(config, "connect"):
+        endpoint = parse_endpoint(text)
+        known: set[Any] = {endpoint[1:]}
+        if endpoint.address is not None:
+            with contextlib.suppress(OSError):
+                known |= {it[4][:2] for it in socket.getaddrinfo(*endpoint.address)}
+        elif endpoint.protocol != "unixsock-stream":
+            continue  # only Zenoh can try it
+        if links.isdisjoint(known):
+            found.append(missing_peer(text, tls))
+    return found
+
+
 def missing_peer(text: str, tls: Mapping[str, Any]) -> NoSession:
     """Returns why there is no session with an endpoint.
 

@@ -21,6 +21,7 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hyperbit.controller.network.fleet import is_name
+from hyperbit.controller.network.reach import NoSession
 from hyperbit.controller.network.stop_all import stop_all
 from hyperbit.controller.panel import requests
 from hyperbit.controller.panel.access.access import Access
@@ -45,6 +46,7 @@ class PanelServer:
 
     Args:
         open_session: opens the Zenoh session; called when the server starts.
+        missing: returns why the session has no connection to some of its endpoints.
         access: checks who may view and command.
         prefix: of all Zenoh keys.
         tls: whether the page itself is served over TLS.
@@ -57,6 +59,7 @@ class PanelServer:
         self,
         open_session: Callable[[], zenoh.Session],
         access: Access,
+        missing: Callable[[zenoh.Session], list[NoSession]] = lambda _: [],
         *,
         prefix: str = "hyperbit",
         tls: bool = False,
@@ -64,6 +67,7 @@ class PanelServer:
         public: PublicAddress | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        self._missing = missing
         self._open_session, self._access, self._prefix, self._clock = open_session, access, prefix, clock
         self._path = "/" if public is None else public.path
         secure = tls or (public is not None and public.origin.startswith("https:"))
@@ -101,7 +105,7 @@ class PanelServer:
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
         session = await asyncio.to_thread(self._open_session)
         try:
-            self._arms = Arms(session, self._prefix)
+            self._arms = Arms(session, self._prefix, lambda: self._missing(session))
             yield
             await self._arms.close()
         finally:

@@ -20,7 +20,7 @@ from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.host.signals import end_on_signals
 from hyperbit.controller.network import session
 from hyperbit.controller.network.endpoints import parse_endpoint
-from hyperbit.controller.network.reach import open_session
+from hyperbit.controller.network.reach import missing_peers, open_session
 from hyperbit.controller.panel.access.access import Access
 from hyperbit.controller.panel.access.people import PersonEntry, digest_of, new_token, read_people
 from hyperbit.controller.panel.access.sessions import sessions_file
@@ -160,7 +160,13 @@ def serve(
     sockets = listening(address)
     access = Access(listed, sessions_file())
     panel = PanelServer(
-        lambda: open_session(config), access, prefix=prefix, tls=tls is not None, hosts=address.hosts, public=public
+        lambda: open_session(config),
+        access,
+        lambda opened: missing_peers(opened, config),
+        prefix=prefix,
+        tls=tls is not None,
+        hosts=address.hosts,
+        public=public,
     )
     written = None if public is None else f"{public.origin}{public.path}"
     asyncio.run(_serve(panel, address, tls, tokens, sockets, written))

@@ -30,6 +30,7 @@ class BookedGoal(msgspec.Struct, frozen=True):
     ended: float = 0.0  # UNIX time of the result [s]
     canceling: bool = False  # a cancel was accepted before the end, so the result may be "canceled"
     owed: bool = False  # a cancel is repeated until the daemon reports the goal's end
+    due: float | None = None  # UNIX time after which the goal exceeds its time tolerance [s]
     client: bool = True  # a client knows that the goal is accepted, or waits for the decision
 
     @property

@@ -19,6 +19,7 @@ from hyperbit.controller.ros2.goal_book import KEPT, MOST_OWED, BookedGoal, Goal
 from hyperbit.controller.ros2.jobs import Jobs, Passage, Say, Task, Withdrawn
 from hyperbit.controller.ros2.messages import ERROR, INFO, WARN
 from hyperbit.controller.ros2.poses import BadGoal, Fields
+from hyperbit.controller.ros2.trajectories import time_tolerance
 from hyperbit.controller.ros2.wire.action_core import IllegalTransition
 from hyperbit.controller.ros2.wire.action_events import Status
 from hyperbit.controller.ros2.wire.action_server import ActionServer, GoalHandle, Policy
@@ -31,6 +32,7 @@ ENDING_TIMEOUT = 2.0  # [s] for the answer to one cancel or question; the next g
 KNOWN_WITHIN = 15.0  # [s] after which a goal that the ledger does not have is lost; a request is on its way for 10 s
 GONE_AFTER = 60.0  # [s] without a daemon, after which its goals are lost
 LOST = -4  # code: the end of the goal is not known
+TOO_LATE = -5  # code: the time tolerance is exceeded
 
 
 class Kind(NamedTuple):
@@ -89,6 +91,7 @@ class ActionGoals:
     def poll(self, now: float) -> None:
         """Sends due cancels and result requests; ends goals after a long absence of the daemon. `now` [s]."""
         if self._gone is None:
+            self._owe_late(time.time())
             for task, due in ((self._cancels, self._due_cancel), (self._ledger, self._due_question)):
                 if due(now) is not None:
                     task.ask()
@@ -150,6 +153,7 @@ class ActionGoals:
             Unanswered, Withdrawn: the goal may run, if it was sent.
         """
         self.check_room()
+        allowed = time_tolerance(handle.goal)
         goal = {**self._kinds[kind].convert(handle.goal), "id": daemon_id(handle)}
         booked = BookedGoal(handle.uuid.hex(), kind, tuple(handle.goal.trajectory.joint_names), time.time_ns())
         if why := self._book.add(booked):
@@ -160,6 +164,10 @@ class ActionGoals:
         answer = request(self._client, Answer, "goal", goal, passage)
         if not answer.accepted:
             raise BadGoal(answer.text or "no reason is given", answer.code)
+        if allowed is not None:
+            due = max(time.time(), goal["stamp"]) + goal["waypoints"][-1]["t"] + allowed
+            begun.booked = msgspec.structs.replace(booked, due=due)
+            self._book.put(begun.booked)
         handle.accept()
         handle.execute()
         with self._lock:
@@ -210,6 +218,15 @@ class ActionGoals:
             goal.booked = msgspec.structs.replace(goal.booked, canceling=True, owed=True)
             self._open[goal.booked.id] = goal
             self._book.put(goal.booked)
+
+    def _owe_late(self, wall: float) -> None:
+        """Owes the cancel of each goal that exceeds its time tolerance; no client has asked for it."""
+        with self._lock:
+            for goal in self._open.values():
+                booked = goal.booked
+                if goal.decided and goal.handle and booked.due is not None and wall > booked.due and not booked.owed:
+                    goal.booked = msgspec.structs.replace(booked, owed=True)
+                    self._book.put(goal.booked)
 
     def _may_cancel(self, handle: GoalHandle) -> bool:
         """Writes that a cancel is owed before the client learns of its acceptance: a kill may come between."""
@@ -276,6 +293,9 @@ class ActionGoals:
             booked = msgspec.structs.replace(goal.booked, owed=goal.booked.owed and not known)
             # A cancel that is accepted after this comes too late.
             canceling = handle is not None and handle.status is Status.CANCELING
+            if result.status == "canceled" and goal.booked.owed and not goal.booked.canceling:
+                why = "the arm was not there within goal_time_tolerance, and the goal was canceled"
+                result = GoalResult("aborted", TOO_LATE, why)
             if handle is not None:
                 booked = msgspec.structs.replace(booked, result=result, ended=time.time(), canceling=canceling)
             goal.booked = booked

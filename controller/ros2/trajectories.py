@@ -153,6 +153,14 @@ def _tolerance(entries: Sequence[Any], where: str, names: Sequence[str]) -> floa
     return min((value for value in values if value > 0), default=None)
 
 
+def time_tolerance(goal: Any) -> float | None:
+    """Returns how long after the time of its last point a goal may end [s]; None: at any time."""
+    allowed = seconds(goal.goal_time_tolerance)
+    if allowed < 0 and allowed != ERASED:
+        raise BadGoal(f"goal_time_tolerance: {allowed:g} s is negative; 0 and -1 mean that the goal may take any time")
+    return allowed if allowed > 0 else None
+
+
 def tip_positions(told: Mapping[str, Any], joints: Sequence[str]) -> list[float]:
     known = dict(zip(AXES, told["position"], strict=False)) | {YAW: yaw(told)}
     return [known.get(name, math.nan) for name in joints]

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import Meta, Struct, field
 
-from hyperbit.controller.armfile.choices import hint_of, plain, unknown_field
+from hyperbit.controller.armfile.choices import hint_of, number_hint, plain, unknown_field
 from hyperbit.controller.armfile.strict import check
 
 Time = Annotated[float, Meta(gt=0, le=60, description="in seconds")]
@@ -78,3 +78,11 @@ def test_a_number_that_is_proposed_is_a_number_in_yaml(number):
 def test_any_text_has_a_hint_or_none(text):
     assert isinstance(hint_of(text, float), str)
     assert unknown_field(text, {"a", "b"})
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [("0,3", "; write a decimal point: 0.3"), ("1,000", "; write 1.000, or 1000 if the comma separates thousands")],
+)
+def test_a_comma_in_a_number_is_explained(text: str, hint: str) -> None:
+    assert number_hint(text) == hint

@@ -29,6 +29,7 @@ def test_a_row_may_end_before_its_last_columns(tmp_path):
         ("x,y,x\n0.5,2.8,0.2\n", "column 'x' occurs twice"),
         ("x;y\n0,3;2,8\n", "semicolons separate the columns: write commas, and numbers with a decimal point"),
         ("x\ty\n1\t2\n", "tabs separate the columns"),
+        ('{"waypoints": [{"position": [0.5, 2.9]}]}', "a CSV file is needed; this file looks like JSON"),
     ],
 )
 def test_what_could_be_read_in_two_ways_is_refused(tmp_path, text, fault):

@@ -17,10 +17,20 @@ import pytest
 import zenoh
 
 from hyperbit.controller.network import reach
-from hyperbit.controller.network.reach import Cause, NoSession, certificates_of, diagnosis, ending, open_session
+from hyperbit.controller.network.reach import (
+    Cause,
+    NoSession,
+    certificates_of,
+    diagnosis,
+    ending,
+    missing_peers,
+    open_session,
+)
 from hyperbit.controller.network.session import configuration, from_file
+from hyperbit.controller.panel.serve import zenoh_configuration
 from tests.endpoints import free_endpoint
 from tests.keys import made, openssl
+from tests.waiting import PATIENCE, eventually
 
 needs_openssl = pytest.mark.skipif(not made(), reason="openssl makes the certificates")
 UNABLE = zenoh.ZError("Unable to connect to any of [Single(tcp/a:1)]! at /src/orchestrator.rs:447.")
@@ -101,6 +111,17 @@ def test_nobody_listens(tmp_path: Path) -> None:
     assert caught.value.cause is Cause.NOBODY
     assert "hyperbit run ARM.yaml" in caught.value.step
     assert told(f"unixsock-stream/{tmp_path / 'a.sock'}").cause is Cause.NOBODY
+
+
+def test_missing_peers_are_those_without_a_link() -> None:
+    endpoint, absent = (free_endpoint().replace("127.0.0.1", "localhost") for _ in range(2))
+    with zenoh.open(configuration("peer", listen=endpoint)):
+        config = zenoh_configuration([endpoint, absent, "tcp/nowhere.invalid:7447"], None)
+        with zenoh.open(config) as session:
+            eventually(lambda: list(session.info.links()), PATIENCE)
+            first, second = missing_peers(session, config)
+    assert (first.cause, second.cause) == (Cause.NOBODY, Cause.UNKNOWN_HOST)
+    assert absent in str(first)
 
 
 def test_an_unknown_host() -> None:

@@ -16,6 +16,7 @@ from hyperbit.controller.arm.arm import Arm, load
 from hyperbit.controller.arm.description import description, drawing
 from hyperbit.controller.manipulator.notation import format_configuration, pose
 from hyperbit.controller.network import session
+from hyperbit.controller.network.reach import NoSession
 from hyperbit.controller.panel.access.access import Access
 from hyperbit.controller.panel.access.people import PersonEntry, digest_of
 from hyperbit.controller.panel.app import PanelServer
@@ -176,7 +177,11 @@ class Opened:
 
 
 class Site:
-    """A running panel, its daemon, and logged-in clients."""
+    """A running panel, its daemon, and logged-in clients.
+
+    Attributes:
+        missing: what the panel learns of endpoints without connection.
+    """
 
     def __init__(self, closing: ExitStack) -> None:
         endpoint = free_endpoint()
@@ -184,7 +189,8 @@ class Site:
         closing.callback(self.daemon.close)
         config = zenoh_configuration([endpoint], None)
         self.clock = Clock()  # it stands: no command becomes too late while this machine is slow
-        self.panel = PanelServer(lambda: zenoh.open(config), Access(PEOPLE), clock=self.clock)
+        self.missing: list[NoSession] = []
+        self.panel = PanelServer(lambda: zenoh.open(config), Access(PEOPLE), lambda _: self.missing, clock=self.clock)
         self.browser = closing.enter_context(TestClient(self.panel.app, base_url=ORIGIN))
         self._closing = closing
         eventually(lambda: ARM in self.panel.arms.views and self.panel.arms.views[ARM].drawing)

@@ -5,7 +5,9 @@ import threading
 
 import pytest
 
+from hyperbit.controller.network.reach import Cause, NoSession
 from hyperbit.controller.panel.arm_page import RequestThreads
+from hyperbit.controller.panel.arms import arms
 from tests.panel.conftest import ARM, OPERATOR, OTHER, VIEWER, Opened, Site
 from tests.waiting import PATIENCE, eventually
 
@@ -47,6 +49,18 @@ def test_measured_states_that_are_known_no_more_are_drawn_as_commanded(site: Sit
     assert bodies["measured"] == bodies["commanded"]
     site.daemon.state(measured=states, commanded=[1, *states[1:]])
     bodies = page.until("bodies", lambda b: b["measured"] != b["commanded"])
+
+
+@pytest.mark.parametrize("path", ["/live", f"/arms/{ARM}/live"])
+def test_a_page_says_why_a_connection_is_missing(site: Site, monkeypatch: pytest.MonkeyPatch, path: str) -> None:
+    monkeypatch.setattr(arms, "MISSING_EVERY", 0.1)
+    page, section = site.open(VIEWER, path), "arms" if path == "/live" else "presence"
+    for cause in Cause:
+        site.missing = [NoSession(cause, f"the cause is {cause.name}")]
+        told = page.until(section, lambda it: any(cause.name in why["message"] for why in it["missing"]))  # noqa: B023
+        assert told["missing"] == [{"message": f"the cause is {cause.name}", "advice": cause.value}]
+    site.missing = []
+    page.until(section, lambda it: not it["missing"])
 
 
 def test_faults_come_with_advice(site: Site) -> None:

@@ -54,6 +54,14 @@ def test_a_reset_without_an_answer_of_the_executor_is_refused(desk: Desk) -> Non
     assert replies(desk, "reset") == ["executor-behind"]
 
 
+def test_a_goal_without_an_executor_is_refused_because_there_is_none(desk: Desk) -> None:
+    desk.drop()
+    desk.ask("stop", name="stop")
+    desk.ask("goal", {"waypoints": [{"position": [0.2, 0.0]}]}, name="goal")
+    desk.pass_time(3.0)
+    assert replies(desk, "goal") == ["arm-in-fault"]
+
+
 def test_a_stop_that_could_not_be_sent_is_refused(desk: Desk) -> None:
     number = desk.ask("stop", name="stop")
     desk.post(Unsent(number, "the executor's socket is full"))

@@ -1,6 +1,7 @@
 """What ends motion: it waits for nothing, overtakes what asks for motion, and is repeated until the goal has ended."""
 
 import json
+import math
 import random
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,11 +13,11 @@ from hyperbit.controller.network.client import Unanswered
 from hyperbit.controller.ros2 import goals
 from hyperbit.controller.ros2.goal_book import MOST_OWED
 from hyperbit.controller.ros2.wire.cdr import serialize
-from tests.ros2.client import ABORTED, CANCELED, CANCELING, SUCCEEDED
+from tests.ros2.client import ABORTED, CANCELED, CANCELING, SUCCEEDED, Reading
 from tests.ros2.fuzz.inputs import TIP, Input, Inputs
 from tests.ros2.fuzz.stand_ins import Killed
 from tests.ros2.fuzz.world import MOTION, World
-from tests.ros2.samples import TYPES, pose_stamped
+from tests.ros2.samples import ACTION, TYPES, pose_stamped, trajectory_goal
 from tests.ros2.test_bad_input import ATTACHMENT, ID, SEND_GOAL, UUID, describe_again, get_result, send_goal
 
 TRIGGER, PLAN = "std_srvs/srv/Trigger_Request", "nav_msgs/srv/GetPlan_Request"
@@ -209,6 +210,54 @@ def test_a_cancel_is_owed_though_the_goal_was_told_to_be_lost(world: World, daem
         pass_turns(world, 3.0)
         assert world.judge.debts == {}
         assert status(world) == ABORTED, "one goal, one result"
+
+
+def send_within(world: World, seconds: float) -> None:
+    """Sends a goal that is to end at most this long after the time of its last point [s]."""
+    within = {"sec": math.floor(seconds), "nanosec": round(seconds % 1 * 1e9)}
+    goal = trajectory_goal(["tip_x", "tip_y"], [[0.5, 2.9], [0.4, 2.9]], goal_time_tolerance=within)
+    ask(world, f"{TIP}/send_goal", f"{ACTION}_SendGoal_Request", goal_id={"uuid": UUID}, goal=goal)
+    world.run_jobs()
+
+
+@pytest.mark.parametrize("killed", [True, False])
+def test_a_goal_that_exceeds_its_time_is_canceled_and_ends_outside_its_tolerance(
+    world: World, daemon: Daemon, killed: bool
+) -> None:
+    with world.in_place():
+        send_within(world, 4.5)  # after the last point, at 1 s
+        if killed:
+            world.kill()
+            restart(world)
+        pass_turns(world, 5.0)
+        assert daemon.count(*CANCEL) == 0
+        pass_turns(world, 3.0)
+        assert daemon.count(*CANCEL) > 1
+        results = get_result(world)
+        daemon.end()
+        pass_turns(world, 3.0)
+        assert status(world) == ABORTED
+        reading = Reading(results[0])
+        assert (reading.get("b"), reading.get("i")) == (ABORTED, goals.TOO_LATE)
+        assert "goal_time_tolerance" in reading.text()
+
+
+def test_a_client_may_cancel_a_goal_that_exceeds_its_time(world: World, daemon: Daemon) -> None:
+    with world.in_place():
+        send_within(world, 1.0)
+        pass_turns(world, 4.0)
+        assert cancel(world)[0][4] == 0
+        daemon.end()
+        pass_turns(world, 3.0)
+        assert status(world) == CANCELED
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0])
+def test_a_goal_without_a_time_tolerance_may_take_any_time(world: World, daemon: Daemon, seconds: float) -> None:
+    with world.in_place():
+        send_within(world, seconds)
+        pass_turns(world, 60.0)
+        assert daemon.count(*CANCEL) == 0
 
 
 def test_a_bridge_that_ends_leaves_accepted_cancels_to_the_next(world: World, daemon: Daemon) -> None:

@@ -145,9 +145,9 @@ DEFECTS = {
     "a stop is answered before it is sent": Defect(
         [(Ending, "receive", _answer_at_once)], "(stop|cancel) is answered True, the daemon has not said so"
     ),
-    "a cancel is sent once": Defect([(ActionGoals, "_due_cancel", _send_cancels_once)], OWED, seed=1),
-    "a cancel is forgotten by a restart": Defect([(GoalBook, "put", _forget_cancels)], OWED, seed=2),
-    "a cancel is given up with its client": Defect([(ActionGoals, "_end", _lose_debts)], OWED, seed=9, times=SOON),
+    "a cancel is sent once": Defect([(ActionGoals, "_due_cancel", _send_cancels_once)], OWED, seed=3),
+    "a cancel is forgotten by a restart": Defect([(GoalBook, "put", _forget_cancels)], OWED),
+    "a cancel is given up with its client": Defect([(ActionGoals, "_end", _lose_debts)], OWED, times=SOON),
     "a cancel is given up while its goal may come": Defect([(goals, "KNOWN_WITHIN", 0.0)], OWED),
     "an action's goal without an answer is not canceled": Defect(
         [(ActionGoals, "owe_cancel", _owe_topics)], OWED, seed=5
@@ -156,17 +156,20 @@ DEFECTS = {
         [(ActionGoals, "owe_cancel", _owe_actions)], "the accepted cancel of ros2-goal_p.* is not repeated", seed=5
     ),
     "a goal is accepted whatever the daemon says": Defect(
-        [(goals.Answer, "accepted", True)], "send_goal is answered True, the daemon's answer is (False|None)"
+        [(goals.Answer, "accepted", True)], "send_goal is answered True, the daemon's answer is (False|None)", seed=1
     ),
     "a result is dropped": Defect([(ActionGoals, "receive_result", lambda *_: None)], "its client was not told"),
     "each goal succeeds": Defect([(goals, "ending", _always_succeed)], "has ended with status 4, and the daemon"),
-    "canceled goals are aborted": Defect([(goals, "ending", _abort_canceled)], EARLY, seed=1),
+    "canceled goals are aborted": Defect([(goals, "ending", _abort_canceled)], EARLY),
     "each code is 0": Defect([(goals, "ending", _other_code)], r"is told to be Result\(status=., code=0, "),
-    "a result changes by a restart": Defect([(GoalBook, "put", _forget_sentences)], "has two results"),
+    "a result changes by a restart": Defect([(GoalBook, "put", _forget_sentences)], "has two results", seed=1),
     "an ended goal runs again after a restart": Defect(
-        [(ActionServer, "restore", _restore_as_executing)], "has come from status [456] to [123]"
+        [(ActionServer, "restore", _restore_as_executing)], "has come from status [456] to [123]", seed=1
     ),
     "a goal is lost too early": Defect([(goals, "GONE_AFTER", 1.0)], EARLY, seed=1),
+    "a goal is canceled before its time is over": Defect(
+        [(goals, "time_tolerance", lambda _: 0.5)], "is canceled, and nobody asked for it"
+    ),
     "there is no feedback": Defect([(GoalHandle, "feedback", lambda *_: None)], "there is no feedback of"),
     "old poses move the arm": Defect(
         [(requests, "check_stamp", lambda *_: None)], "goal is sent, and nobody asked for it"

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hyperbit.controller.manipulator.notation import parse_configuration
 from hyperbit.controller.motion.decoding.goal import parse
 from hyperbit.controller.ros2.poses import BadGoal, Place, waypoint
-from hyperbit.controller.ros2.trajectories import actuator_goal, tip_goal, tip_positions
+from hyperbit.controller.ros2.trajectories import actuator_goal, time_tolerance, tip_goal, tip_positions
 from hyperbit.controller.ros2.wire.cdr import message
 from hyperbit.controller.ros2.wire.types import Types
 from tests.ros2.samples import chain, message_bytes, place, state, trajectory_goal
@@ -56,6 +56,12 @@ def test_an_angle_in_the_frame_of_a_tilted_base_is_that_of_the_same_pose() -> No
     same = waypoint(pose, wall, "goal_pose", oriented=True)
     assert point["position"] == pytest.approx(same["position"])
     assert point["orientation"] == pytest.approx(same["orientation"])
+
+
+def test_a_negative_time_tolerance_is_refused() -> None:
+    goal = trajectory_goal(["tip_x", "tip_y"], [[0.5, 2.9]], goal_time_tolerance={"sec": -2})
+    with pytest.raises(BadGoal, match="goal_time_tolerance: -2 s is negative; 0 and -1 mean"):
+        time_tolerance(goal)
 
 
 def test_an_angle_in_space_is_about_z() -> None:

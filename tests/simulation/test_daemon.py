@@ -18,6 +18,7 @@ from hyperbit.controller.planning.core import goals, parts, results
 from hyperbit.controller.planning.core.arm import ArmState, ExecutorView
 from hyperbit.controller.planning.core.core import Core
 from hyperbit.controller.planning.core.events import PublishResult, Reply, Request, ToExecutor
+from hyperbit.controller.planning.core.goal import Goal
 from hyperbit.controller.planning.core.goals import Goals
 from hyperbit.controller.planning.core.obstacles import ObstacleOwner
 from hyperbit.controller.planning.core.parts import Admission, Jobs
@@ -75,6 +76,7 @@ _status = Stream.status
 _outcome_of = results.outcome_of
 _measure = GoalTracker.measure
 _flush = ExecutorLink.flush
+_progress = Goal.progress
 _send = ExecutorLink.send
 
 
@@ -185,7 +187,20 @@ def _count_no_refusal(self: Stream) -> Any:
     return {**_status(self), "refused": 0}
 
 
+def _tell_next_reached(self: Goal, wall: float) -> Any:
+    told = _progress(self, wall)
+    return {**told, "reached": min(told["reached"] + 1, told["waypoints"])}
+
+
+def _tell_full_time(self: Goal) -> float:
+    return self.begin + self.feed.end(0.0) + self.stage_began - self.begin + 0.2
+
+
 DEFECTS: dict[str, list[Patch]] = {
+    "progress is a waypoint ahead": [(Goal, "progress", _tell_next_reached)],
+    "the remaining time does not fall": [(Goal, "end", property(_tell_full_time))],  # type: ignore[list-item]
+    "no time remains": [(Goal, "end", property(lambda self: self.begin))],  # type: ignore[list-item]
+    "progress stays": [(Goal, "progress", lambda self, wall: {**_progress(self, wall), "reached": 0})],
     "requests are answered twice": [(Programs, "recorded", _answer_twice)],
     "queries are not answered": [(Queries, "_answer", _lose_every_third)],
     "results are published again by the next process": [(Results, "__init__", _forget_published)],
@@ -224,6 +239,10 @@ DEFECTS: dict[str, list[Patch]] = {
 }
 
 FOUND = {  # words of the violation
+    "progress is a waypoint ahead": "are reached",
+    "the remaining time does not fall": "before the end that was told",
+    "no time remains": "it cannot be before",
+    "progress stays": "are reached",
     "requests are answered twice": "answers no request",
     "queries are not answered": "not ready for a goal|requests wait",
     "results are published again by the next process": "is told again",

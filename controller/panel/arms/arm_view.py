@@ -4,6 +4,7 @@ import asyncio
 import logging
 import math
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -109,10 +110,10 @@ class ArmView:
             "simulated": state.get("simulated") is True,
         }
 
-    def publish_presence(self, now: float) -> None:
-        """Sends each page stamp and age of the latest state, and the page that has control."""
+    def publish_presence(self, now: float, missing: Sequence[Message] = ()) -> None:
+        """Sends each page stamp and age of the latest state, the page that has control, and missing connections."""
         latest = {"age": self._age(now), "stamp": (self.state or {}).get("stamp")}
-        presence = {"section": "presence", "alive": self.alive, **latest, "pages": len(self.pages)}
+        presence = {"section": "presence", "alive": self.alive, **latest, "pages": len(self.pages), "missing": missing}
         for page in self.pages:
             control = self.control.described()
             page.offer("presence", msgspec.json.encode({**presence, "control": control, "you": page.number}))

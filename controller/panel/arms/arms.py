@@ -12,6 +12,7 @@ import zenoh
 
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.network.fleet import is_name
+from hyperbit.controller.network.reach import NoSession
 from hyperbit.controller.panel.arms.arm_view import ArmView
 from hyperbit.controller.panel.arms.metrics import Counters
 from hyperbit.controller.panel.arms.pages import Page
@@ -19,6 +20,7 @@ from hyperbit.controller.panel.arms.pages import Page
 log = logging.getLogger(__name__)
 
 TICK = 0.05  # [s] between two updates from the received states
+MISSING_EVERY = 3.0  # [s] between two looks for endpoints without connection
 PRESENCE_EVERY = 0.5  # [s] between two updates of presence, and of arms that no page shows
 MOST_ARMS = 256  # further arms take the places of gone arms
 MOST_ALIVE = 10_000  # names of live daemons; some may have no place yet
@@ -31,10 +33,12 @@ KEYS = ("feedback", "result", "diagnostics", "request", "timeline")
 class Arms:
     """The arms below a prefix. Used on the event loop of the pages, except for Zenoh's callbacks.
 
-    `prefix` is that of all keys: "hyperbit", or the prefix of a replay.
+    Args:
+        prefix: of all keys: "hyperbit", or the prefix of a replay.
+        missing: returns why the session has no connection to some of its endpoints.
     """
 
-    def __init__(self, session: zenoh.Session, prefix: str = "hyperbit") -> None:
+    def __init__(self, session: zenoh.Session, prefix: str, missing: Callable[[], list[NoSession]]) -> None:
         self.views: dict[str, ArmView] = {}
         self.counters = Counters()  # counts results and faults, for metrics
         self.session, self._prefix = session, prefix
@@ -49,10 +53,12 @@ class Arms:
             *(session.declare_subscriber(f"{prefix}/*/{key}", self._on_message) for key in KEYS),
             liveliness.declare_subscriber(f"{prefix}/*/alive", self._on_alive, history=True),
         ]
-        self._task = self._loop.create_task(self._run())
+        self._missing: list[dict[str, str]] = []  # sentences on the endpoints without connection
+        self._tasks = [self._loop.create_task(it) for it in (self._run(), self._look_for_missing(missing))]
 
     async def close(self) -> None:
-        self._task.cancel()
+        for task in self._tasks:
+            task.cancel()
         while self._declared:
             await asyncio.to_thread(self._declared.pop().undeclare)
         for view in self.views.values():
@@ -192,14 +198,25 @@ class Arms:
                 for view in list(self.views.values()):
                     if not view.present and view.silence(now) > GONE_SHOWN:
                         self._drop(view)
-                    view.publish_presence(now)
+                    view.publish_presence(now, self._missing)
                 if self._pages:
                     listed = self._list()
                     for page in self._pages:
                         page.offer("arms", listed)
             await asyncio.sleep(TICK)
 
+    async def _look_for_missing(self, missing: Callable[[], list[NoSession]]) -> None:
+        """Looks for the causes while a page is open: a program that is asked again and again may log it."""
+        while True:
+            if self._pages or any(view.pages for view in self.views.values()):
+                try:
+                    found = await asyncio.to_thread(missing)
+                    self._missing = [{"message": str(why), "advice": why.step} for why in found]
+                except Exception:
+                    log.exception("the missing connections are not known")
+            await asyncio.sleep(MISSING_EVERY)
+
     def _list(self) -> bytes:
         now = time.monotonic()
         known = sorted((view.summary(now) for view in self.known()), key=lambda entry: str(entry["name"]))
-        return msgspec.json.encode({"section": "arms", "arms": known})
+        return msgspec.json.encode({"section": "arms", "arms": known, "missing": self._missing})

@@ -157,7 +157,7 @@ class Goals:
         if goal.ticket.epoch is None:
             if self._waits(goal, EXECUTOR_TIMEOUT):
                 return
-            raise Refusal(Reason.EXECUTOR_BEHIND)
+            raise Refusal(Reason.EXECUTOR_BEHIND) if self._view.connected else no_motion(*self._locks.mode())
         basis, (mode, reason), rebuilding = self._premises.basis(), self._locks.mode(), self._locks.rebuilding
         if not rebuilding and (self._view.state is None or mode not in ("ready", "executing")):
             raise no_motion(mode, reason)

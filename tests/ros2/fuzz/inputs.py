@@ -227,6 +227,8 @@ class Inputs:
             fields["goal_tolerance"] = [{"name": chance.choice(("tip_x", *TEXTS)), "position": self._number()}]
         if chance.random() < 0.1:
             fields["path_tolerance"] = [{"name": chance.choice(("tip_x", *TEXTS)), "position": self._number()}]
+        if chance.random() < 0.1:
+            fields["goal_time_tolerance"] = {"sec": chance.choice((-5, -1, 0, 0, 1, 20)), "nanosec": 1}
         return fields
 
 

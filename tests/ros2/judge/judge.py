@@ -14,6 +14,7 @@ from typing import Any
 from tests.ros2.client import ABORTED, CANCELED, SUCCEEDED, Reading
 from tests.ros2.judge.actions import ACTIVE, Actions, Goal, Result, Wrong
 from tests.ros2.judge.asks import Ask, Asks
+from tests.ros2.judge.limits import Limits
 from tests.ros2.judge.reader import Arm, Invalid, Reader, check_attachment, goal_of
 
 REPEAT_WITHIN = 5.0  # [s] for each goal whose cancel was accepted, until its cancel is sent again
@@ -51,6 +52,7 @@ class Judge:
         servers = {name.rpartition("/")[0] for name in kinds if "/" in name}
         self.actions = {it: Actions(clock, self._receive_end, self._receive_debt) for it in servers}
         self.debts: dict[str, Debt] = {}
+        self.limits = Limits(epoch)
         self._paid = deque[str](maxlen=MOST_PAID)  # cancels that may be sent still
         self._ends: dict[
             str, list[tuple[str, int, str, bool]]
@@ -75,6 +77,7 @@ class Judge:
                 points = None
         if name.endswith(SEND):
             self.actions[name.rpartition("/")[0]].receive_request()
+            self.limits.receive(payload)
         service = "/" in name or kind in ("stop", "reset", "cancel", "plan")
         return self.asks.receive(name, key, payload, points, service)
 
@@ -109,6 +112,8 @@ class Judge:
         if key == "stop" or (key == "cancel" and not payload):
             self.asks.receive_ending(key)
         elif key == "cancel":
+            if self.limits.allows(name):
+                self._receive_owed(name)
             if name in self.debts:
                 self.debts[name].last = now
             elif name not in self._paid:
@@ -146,6 +151,7 @@ class Judge:
         uuid = ask.payload[4:20]
         if service == SEND and data[4]:
             self.actions[server].receive_acceptance(uuid, joints_of(ask.payload))
+            self.limits.receive_acceptance(uuid)
         elif service == CANCEL:
             self.actions[server].receive_cancel(ask.payload, data)
         elif service == RESULT and (found := self.actions[server].receive_result(uuid, data)):
@@ -188,6 +194,8 @@ class Judge:
             for goal in server.goals.values():
                 if there and goal.active and any(it[3] for it in self._ends.get(goal.id, ())):
                     raise Wrong(f"the daemon told that {goal.id} has ended, its client was not told")
+                if there and goal.active and self._gone == math.inf and goal.id not in self.debts:
+                    self.limits.check(goal)
         for goal in self._unexplained:
             raise Wrong(f"{goal.id} has ended with status {goal.status}, and the daemon has not said so")
         for name, debt in self.debts.items():
@@ -310,7 +318,7 @@ class Judge:
         """Checks that a result is what the daemon has told."""
         told = goal.told or self._told(goal)  # a later goal may have the id by now
         lost = result.code == LOST and result.text.startswith("lost: ") and result.status == ABORTED
-        if (result.code, result.text) not in told and not lost:
+        if (result.code, result.text) not in told and not lost and not self.limits.explains(goal, result):
             raise Wrong(f"{goal.id} is told to be {result}, the daemon said {told}")
         succeeded, canceled = result.text.startswith("succeeded: "), result.text.startswith("canceled: ")
         if (result.status == SUCCEEDED) != succeeded or (result.status == CANCELED) != (canceled and goal.canceled):

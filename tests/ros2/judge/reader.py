@@ -163,3 +163,27 @@ def trajectory(reader: Reader, arm: Arm, *, tip: bool) -> Goal:
     if not tip:
         return points
     return [[point[joints.index(axis)] for axis in arm.axes] for point in points]
+
+
+def end_limit(reader: Reader) -> tuple[float, float | None]:
+    """Returns stamp of a trajectory, and by how long after it its goal is to end [s]; None: it may take any time."""
+    reader.get("B", 16)
+    stamp, _ = reader.header()
+    [reader.text() for _ in range(reader.count())]
+    last = 0.0
+    for _ in range(reader.count()):
+        for _ in range(4):
+            reader.many("d")
+        last = reader.stamp()
+    reader.header()
+    [reader.text() for _ in range(reader.count())]
+    if reader.count():
+        raise Invalid("joints of several degrees of freedom")
+    for _ in range(2):  # tolerances of the path, and of the goal
+        for component in (False, True):
+            for _ in range(reader.count()):
+                reader.text()
+                reader.get("H", component)
+                reader.get("d", 3)
+    allowed = reader.stamp()
+    return stamp, last + allowed if allowed > 0 else None

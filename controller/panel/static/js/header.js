@@ -2,6 +2,7 @@
 
 import { el } from "./dom.js";
 import { onHold } from "./hold.js";
+import { showMissing } from "./notice.js";
 import { pressToStop } from "./stop.js";
 
 const MARKS = { starting: "◌", ready: "●", executing: "▶", fault: "▲", stopped: "■", unknown: "?" };
@@ -25,6 +26,7 @@ export function showHeader(name, connection, notify) {
     document.title = `${connection.latest.timeline ? "Replay: " : ""}${MARKS[state.mode] ?? "?"} ${name}: ${state.mode}`;
     part("reset").classList.toggle("wanted", state.mode === "stopped" || (state.mode === "fault" && state.faults.some((fault) => fault.reset)));
   });
+  connection.on("presence", ({ alive, missing }) => showMissing(alive ? [] : missing)); // others may be down
   connection.on("you", () => {
     const viewer = !connection.mayCommand;
     part("stop").disabled = part("reset").disabled = viewer;

@@ -3,7 +3,7 @@
 import { Connection } from "./connection.js";
 import { el, fill, show } from "./dom.js";
 import { modeMark, simulatedBadge } from "./header.js";
-import { notifier } from "./notice.js";
+import { notifier, showMissing } from "./notice.js";
 import { pressToStop } from "./stop.js";
 
 export function showList(onLogin) {
@@ -15,8 +15,9 @@ export function showList(onLogin) {
   const silence = document.querySelector("main .silence");
   showStopAll(connection);
   const entries = new Map();
-  connection.on("arms", ({ arms }) => {
-    none.hidden = arms.length > 0;
+  connection.on("arms", ({ arms, missing }) => {
+    showMissing(missing);
+    none.hidden = arms.length + missing.length > 0;
     for (const arm of arms) {
       if (!entries.has(arm.name)) entries.set(arm.name, entry(arm.name));
       entries.get(arm.name).set(arm);

@@ -16,3 +16,13 @@ export function notifier() {
     timer = setTimeout(() => (box.hidden = true), answer.accepted ? 4000 : 9000);
   };
 }
+
+// Shows which endpoints the server has no connection to, why, and what to do.
+export function showMissing(missing = []) {
+  const list = document.querySelector(".missing");
+  const lines = missing.map(inWords);
+  if (!list || lines.join("\n") === list.dataset.lines) return; // a screen reader says it once
+  list.dataset.lines = lines.join("\n");
+  list.replaceChildren(...lines.map((line) => el("li", {}, line)));
+  list.hidden = lines.length === 0;
+}

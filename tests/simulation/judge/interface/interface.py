@@ -36,6 +36,7 @@ from tests.simulation.judge.interface.messages import body_of, well_formed
 from tests.simulation.judge.interface.modules import JudgedModules
 from tests.simulation.judge.interface.motion import Motion
 from tests.simulation.judge.interface.offers import Offers
+from tests.simulation.judge.interface.progress import Progress
 from tests.simulation.judge.interface.requests import Requests
 from tests.simulation.judge.interface.results import Results, unanswered
 from tests.simulation.judge.interface.searches import Searches
@@ -61,8 +62,9 @@ class InterfaceJudge:
         self, modules: JudgedModules, wall: Callable[[], float], driven: Callable[[], int], clear: Callable[[], bool]
     ) -> None:
         self.account = InterfaceAccount(modules, wall, driven, clear)
-        self.requests, self.results = Requests(self.account), Results(self.account)
-        self.states, self.motion = States(self.account), Motion(self.account)
+        progress = Progress(self.account)
+        self.requests, self.results = Requests(self.account), Results(self.account, progress)
+        self.states, self.motion = States(self.account, progress), Motion(self.account)
         self.searches, self.journal = Searches(self.account), Journal(self.account)
         self.link = Link(self.account)
         self.mailboxes = {key: Mailboxes(self.account, key) for key in ("setpoint", "measured_tip")}

@@ -10,6 +10,7 @@ from tests.simulation.judge.interface.account import RECONNECTED, InterfaceAccou
 from tests.simulation.judge.interface.asked import barring, decodable, lined, wanted
 from tests.simulation.judge.interface.facts import Payload, Ran, Request
 from tests.simulation.judge.interface.modules import turn
+from tests.simulation.judge.interface.progress import Progress
 from tests.simulation.judge.interface.refusals import judge_refusal
 from tests.simulation.judge.interface.words import Words
 from tests.simulation.judge.verdict import Violation, require
@@ -25,8 +26,8 @@ PROOFS = ("optimal", "bound", "unknown")
 class Results:
     """Judges feedback and results."""
 
-    def __init__(self, account: InterfaceAccount) -> None:
-        self._a, self._words = account, Words(account)
+    def __init__(self, account: InterfaceAccount, progress: Progress) -> None:
+        self._a, self._words, self._progress = account, Words(account), progress
 
     def feedback(self, payload: Payload) -> None:
         a, goal = self._a, str(payload["id"])
@@ -40,6 +41,7 @@ class Results:
         last = ran.mark(ran.feedback[-1]["waypoint"]) if ran.feedback else -1
         require(mark > last, f"{text} comes after that of waypoint {last}")
         ran.feedback.append(payload)
+        self._progress.feedback(ran, payload)
         settled, _ = ran.settled[mark]
         require(payload["switches"] == settled.switches, f"{text}; the executor tells {settled.switches} switches")
         stages = sum(s.stages for m, (s, _) in ran.settled.items() if last < m <= mark)
@@ -141,6 +143,8 @@ class Results:
             self._judge_travels(payload, ended, text)
         elif ran.process == a.process and payload["status"] != "lost":
             self._judge_feedback_complete(ran, text)
+        if payload["status"] == "succeeded":
+            self._progress.result(ran)
         if not ran.jog and (payload["status"] != "lost" or ran.process == a.process):
             self._judge_proof(ran, payload, text)
 

@@ -9,6 +9,7 @@ from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
 from tests.simulation.judge.interface.facts import Heard, Payload, Ran
 from tests.simulation.judge.interface.grounds import planned_from
 from tests.simulation.judge.interface.modules import Cube, turn
+from tests.simulation.judge.interface.progress import Progress
 from tests.simulation.judge.interface.words import Words
 from tests.simulation.judge.verdict import require
 
@@ -25,8 +26,8 @@ SHELL = {"clock-set", "certificate-ends", "network-lost", "ledger-unwritten"}
 class States:
     """Judges what is published about the arm."""
 
-    def __init__(self, account: InterfaceAccount) -> None:
-        self._a, self._words = account, Words(account)
+    def __init__(self, account: InterfaceAccount, progress: Progress) -> None:
+        self._a, self._words, self._progress = account, Words(account), progress
         self.begin()
 
     def begin(self) -> None:
@@ -157,12 +158,14 @@ class States:
             for ran in running:
                 lately = a.awake - ran.accepted_awake < DELAY or ran.ended is not None or ran.given_up
                 require(lately or a.snapshot is None, f"state names no goal, and {ran.goal} runs")
+            self._progress.state(None, payload)
             return
         ran = next((r for r in reversed(running) if r.goal == goal), None)
         require(ran is not None, f"state names the goal {goal}, which does not run")
         assert ran is not None
         over = a.awake - ran.heard_awake > TOLD_WITHIN and not a.had("slow search", a.now - 10.0)
         require(not over, f"state names the goal {goal}, which has ended")
+        self._progress.state(ran, payload)
         if not ran.jog:
             self._judge_target(ran, payload)
 

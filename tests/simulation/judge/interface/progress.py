@@ -1,0 +1,57 @@
+"""Progress and remaining time of a goal: what `state` and `feedback` tell, compared with the world."""
+
+from __future__ import annotations
+
+from weakref import WeakKeyDictionary
+
+from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
+from tests.simulation.judge.interface.facts import Payload, Ran
+from tests.simulation.judge.verdict import require
+
+ROUNDED = 0.07  # [s] times in `progress` have one decimal; the planner hears of a stage a moment after its begin
+
+
+class Progress:
+    """Judges what is told of a goal while it runs, and at its end whether its end was foretold."""
+
+    def __init__(self, account: InterfaceAccount) -> None:
+        self._a = account
+        self._foretold = WeakKeyDictionary[Ran, list[float]]()  # expected ends [s]
+        self._reached = WeakKeyDictionary[Ran, int]()
+
+    def state(self, ran: Ran | None, payload: Payload) -> None:
+        a, told = self._a, payload["progress"]
+        text = f"state tells the progress {told}"
+        require((ran is None) == (told is None), f"{text} of {None if ran is None else ran.goal}")
+        if ran is None or told is None:
+            return
+        count = 1 if ran.jog else None if ran.request is None else len(ran.request.body["waypoints"])
+        require(count in (None, told["waypoints"]), f"{text}; the goal has {count} waypoints")
+        surely = [ran.waypoint(mark) for mark, (_, awake) in ran.settled.items() if awake < a.awake - DELAY]
+        least = 0 if ran.jog else 1 + max(surely, default=-1)
+        most = 0 if ran.jog else 1 + max(map(ran.waypoint, ran.settled), default=-1)
+        require(least <= told["reached"] <= most <= told["waypoints"], f"{text}; {least} to {most} are reached")
+        require(told["reached"] >= self._reached.get(ran, 0), f"{text}, before {self._reached.get(ran)} were reached")
+        self._reached[ran] = told["reached"]
+        require(told["begins"] <= told["ends"], f"{text}: it ends before it begins")
+        if not a.lately("clock", DELAY):
+            self._foretell(ran, told["ends"] - a.wall())
+
+    def feedback(self, ran: Ran, payload: Payload) -> None:
+        require(payload["remaining"] >= 0, f"feedback {payload}: the remaining time is negative")
+        self._foretell(ran, payload["remaining"])
+
+    def _foretell(self, ran: Ran, remaining: float) -> None:
+        """Compares an expected end with the times that the executor got, which it never undercuts."""
+        end = self._a.now + remaining
+        if not ran.replaced and ran.program.stages:
+            earliest = (ran.program.begin or ran.at) + max(max(it.at, it.settled) for it in ran.program.stages)
+            require(end >= earliest - ROUNDED, f"{ran.goal} is told to end at {end}, it cannot be before {earliest}")
+        self._foretold.setdefault(ran, []).append(end)
+
+    def result(self, ran: Ran) -> None:
+        """Judges the ends that were foretold of a goal that has succeeded. A goal that waits ends later."""
+        foretold = self._foretold.pop(ran, [])
+        latest = max(foretold, default=0.0)
+        early = latest - ran.ended_at
+        require(ran.replaced or early <= ROUNDED, f"{ran.goal} ended {early:g} s before the end that was told")
