@@ -8,10 +8,11 @@ exceptions.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -77,6 +78,15 @@ def check_output(path: Path) -> None:
         raise InputFaults(path, [f"cannot be written: {error.strerror}"]) from None
     if not there:
         path.unlink()
+
+
+@contextlib.contextmanager
+def drawing(picture: Path) -> Iterator[None]:
+    """Refuses a picture that cannot be written, or whose suffix names no format."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise InputFaults(picture, [f"cannot be written: {error}"]) from None
 
 
 def shipped(name: str) -> Path:

@@ -43,7 +43,7 @@ def test_a_stop_that_nobody_confirms_is_told_until_it_is(trouble: Trouble, shown
     shown.one(css).click()
     shown.says(css, "Stopping")
     assert shown.run(LOOK.replace("#stop", css)) != before, "pressed looks different from hovered"
-    shown.says(".unconfirmed[role=alert]", "STOP NOT CONFIRMED", "Cut the arm's power", "hyperbit halt --local")
+    shown.says(".unconfirmed[role=alert]", "STOP NOT CONFIRMED", "Cut the arm's power", "hyperbit halt")
     shown.picture(f"more/panel-unconfirmed-{css[1:]}.png")
     assert "stop" not in trouble.daemon.commands()
     shown.run("window.holding = false; for (const go of window.waiting) go()")

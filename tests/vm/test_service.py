@@ -234,9 +234,9 @@ def test_restart_of_the_planner_leaves_boards_operational_and_a_halt_in_force(
     systemctl("stop", PLANNER)
     assert client.result("never")["status"] == "aborted"
     comes_up(EXECUTOR)
-    outsider = [*NOBODY, "--clear-groups", "hyperbit", "halt", "--local", str(ARM)]
+    outsider = [*NOBODY, "--clear-groups", "hyperbit", "halt", str(ARM)]
     assert subprocess.run(outsider, capture_output=True).returncode != 0, "only the group may open the socket"
-    hyperbit("halt", "--local", ARM, prefix=[*NOBODY, f"--groups={robot.status(EXECUTOR)['Gid'].split()[0]}"])
+    hyperbit("halt", ARM, prefix=[*NOBODY, f"--groups={robot.status(EXECUTOR)['Gid'].split()[0]}"])
     eventually_shown(lambda: shown(EXECUTOR, "StatusText").startswith("stopped: "))
     systemctl("start", PLANNER)
     eventually_shown(lambda: shown(PLANNER, "StatusText").startswith("stopped: "))

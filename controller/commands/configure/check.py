@@ -15,7 +15,7 @@ from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.armfile.terminals import named_boards
 from hyperbit.controller.commands import common
 from hyperbit.controller.commands.arguments import ArmFile, AsJson
-from hyperbit.controller.commands.common import CommandFailed, print_json
+from hyperbit.controller.commands.common import CommandFailed, drawing, print_json
 
 if TYPE_CHECKING:
     from hyperbit.controller.arm.arm import Arm
@@ -67,15 +67,17 @@ def check(
     if picture is not None:
         draw(arm, picture)
     if wiring is not None:
-        draw_wiring(arm, wiring)
+        from hyperbit.controller.pictures import wiring_plots
+
+        with drawing(wiring):
+            wiring_plots.save(wiring, arm.settings)
     boards = compare(arm, eds, node) if eds is not None else []
     boards += ask_boards(arm, socket) if bus else []
     missing = [f"{board['board']}: {board['answer']}" for board in boards if not board["ok"]]
     if as_json:
         print_json({"ok": not missing, "faults": missing, "warnings": warnings, "boards": boards, "arm": fields})
     else:
-        print_arm(file, arm, fields, warnings)
-        print_boards(boards)
+        report(file, arm, fields, warnings, boards)
     if missing and as_json:
         raise typer.Exit(1)
     if missing:
@@ -104,25 +106,13 @@ def draw(arm: Arm, picture: Path) -> None:
 
     first, last = arm.manipulator.states * 0, arm.manipulator.states - 1
     drawn = {"first state of each module": first, "last state of each module": last}
-    try:
+    with drawing(picture):
         subplot = plots.Subplot(arm.settings.name, drawn)
         plots.save(picture, arm.manipulator, None, [subplot], unit="arm's unit", obstacles=arm.obstacles)
-    except (OSError, ValueError) as error:
-        raise InputFaults(picture, [f"cannot be written: {error}"]) from None
 
 
-def draw_wiring(arm: Arm, picture: Path) -> None:
-    """Draws the outputs and inputs of each board, and what is connected to them."""
-    from hyperbit.controller.pictures import wiring_plots
-
-    try:
-        wiring_plots.save(picture, arm.settings)
-    except (OSError, ValueError) as error:
-        raise InputFaults(picture, [f"cannot be written: {error}"]) from None
-
-
-def print_arm(file: Path, arm: Arm, fields: dict[str, Any], warnings: list[str]) -> None:
-    """Prints the size of a correct arm, the warnings about its file, and its summary."""
+def report(file: Path, arm: Arm, fields: dict[str, Any], warnings: list[str], boards: list[dict[str, Any]]) -> None:
+    """Prints the size of a correct arm, the warnings about its file, its summary, and the answers of its boards."""
     from hyperbit.controller.arm.summary import summary_lines
 
     common.console.print(
@@ -133,9 +123,6 @@ def print_arm(file: Path, arm: Arm, fields: dict[str, Any], warnings: list[str])
         common.console.print(f"Warning: {warning}", style="yellow", markup=False)
     for name, value in summary_lines(fields):
         common.console.print(f"  {name:<15} {value}", markup=False)
-
-
-def print_boards(boards: list[dict[str, Any]]) -> None:
     for board in boards:
         style = None if board["ok"] else "red"
         common.console.print(f"  {board['board']}: {board['answer']}", style=style, markup=False)

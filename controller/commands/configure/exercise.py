@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import queue
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 ONLY = "Only these actuators, such as 5.left. Default: all."
 RESERVE = 1.25  # proposed travel time over the longest measured time
 DIFFERENT = 1.5  # an actuator that is faster than the arm's time by this factor gets its own travel time
-STATE_TIMEOUT = 10.0  # [s] for the daemon's state
 FIELDS = {"extended": "extend", "contracted": "contract"}  # in the arm's file, by state
 END_STOPS = {"extended": "input", "contracted": "input_contracted"}
 
@@ -87,12 +85,7 @@ def choose(wanted: list[str], labels: list[str]) -> list[str]:
 
 def commanded(client: Client) -> list[int]:
     """Returns the commanded state of each actuator, shape (A,), of an arm in mode ready."""
-    states: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-    with client.subscribe("state", states.put):
-        try:
-            state = states.get(timeout=STATE_TIMEOUT)
-        except queue.Empty:
-            raise CommandFailed(f"the daemon published no state for {STATE_TIMEOUT:g} s") from None
+    state = client.next_message("state")
     if state["mode"] != "ready":
         raise CommandFailed(f"the arm is {state['mode']}: {state['reason']}; `exercise` needs an arm in mode ready")
     if state["commanded"] is None:
@@ -147,7 +140,8 @@ def proposal(travels: Iterable[MeasuredTravel], labels: Sequence[str]) -> list[s
     for label, state, seconds in travels:
         times = single.setdefault(label, {})
         if seconds is not None:
-            times[FIELDS[state]] = max(times.get(FIELDS[state], 0.0), reserved(seconds))
+            reserved = math.ceil(round(1000 * RESERVE * seconds, 6)) / 1000  # rounded up to a millisecond
+            times[FIELDS[state]] = max(times.get(FIELDS[state], 0.0), reserved)
     whole = {
         field: max(single[label][field] for label in labels)
         for field in FIELDS.values()
@@ -164,11 +158,6 @@ def proposal(travels: Iterable[MeasuredTravel], labels: Sequence[str]) -> list[s
             whose = "any actuator" if len(without) == len(single) > 1 else ", ".join(without)
             lines.append(f"# {field} of {whose} was not measured: keep the present time for it")
     return lines
-
-
-def reserved(seconds: float) -> float:
-    """Returns a measured time with the reserve [s], rounded up to a millisecond."""
-    return math.ceil(round(1000 * RESERVE * seconds, 6)) / 1000
 
 
 def written(times: Mapping[str, float]) -> str:

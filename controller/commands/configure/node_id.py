@@ -13,7 +13,7 @@ from hyperbit.controller.commands.common import CommandFailed, print_json
 from hyperbit.controller.commands.configure.probe import session_on
 from hyperbit.drivers.canopen.tools.lss import BIT_TIMINGS, Lss, LssIdentity, LssRefused
 from hyperbit.drivers.canopen.tools.probe import probe_bus
-from hyperbit.drivers.canopen.wiring import MASTER, BusWiring
+from hyperbit.drivers.canopen.wiring import MASTER
 
 NEW = f"The new node id, 1 to {MASTER - 1}."
 RATE = "The new bit rate [bit/s]."
@@ -39,9 +39,8 @@ def node_id(
     """
     check_options(new, new_bitrate, list_=list_)
     identity = None if board is None else parse_identity(board)
-    bus = BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate)
     try:
-        with session_on(bus) as session:
+        with session_on(channel, interface, bitrate) as session:
             nodes = [node.node for node in probe_bus(session, channel, in_full=False)]
             lss = Lss(session, channel)
             if list_:

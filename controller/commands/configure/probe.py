@@ -36,8 +36,7 @@ def probe(
     without an executor. With --json it prints a line for each node; send this line in if hyperbit does not know the
     board.
     """
-    bus = BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate)
-    with session_on(bus) as session:
+    with session_on(channel, interface, bitrate) as session:
         found = probe_bus(session, channel)
     nodes = [node for node in found if node.node != MASTER or node.answers]
     for node in nodes:
@@ -52,14 +51,15 @@ def probe(
 
 
 @contextlib.contextmanager
-def session_on(bus: BusWiring) -> Iterator[Session]:
+def session_on(channel: str, interface: str, bitrate: int) -> Iterator[Session]:
     try:
+        bus = BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate)
         with session_without_executor([bus]) as session:
             yield session
     except CommandFailed as error:
         if "cannot open" not in str(error):
             raise
-        advice = f"check that {bus.channel} is up and that its --interface is {bus.interface}"
+        advice = f"check that {channel} is up and that its --interface is {interface}"
         raise CommandFailed(str(error), advice) from None
 
 

@@ -58,14 +58,17 @@ def run(
     check_options(board, socket, zenoh_file, simulate=simulate, panel=panel is not None)
     if connect is not None and zenoh_file is not None:
         raise InputFaults(Path("run"), ["give either --connect or --zenoh, whose file can name the router"])
-    network = Network(listen, connect, zenoh_file)
-    network.config()  # its faults are told before the executor starts
+    # Its faults are told before the executor starts. Peers do not hear each other through a router, clients do.
+    if connect is not None:
+        config = zenoh_config(None, connect=connect)
+    else:
+        config = zenoh_config(zenoh_file, mode="peer", listen=listen)
     prepare_process()
     boards = board if simulate else None
     if simulate and socket is None and os.isatty(INPUT):
         typer.echo(TYPED)
     with started_executor(file, socket, ledger, boards) as executor, started_page(connect or listen, panel):
-        serve(file, executor, network, ledger, simulated=simulate)
+        serve(file, executor, config, connect, ledger, simulated=simulate)
 
 
 class RunningExecutor(NamedTuple):
@@ -73,20 +76,6 @@ class RunningExecutor(NamedTuple):
 
     path: Path
     ended: Callable[[], int | None]
-
-
-class Network(NamedTuple):
-    """Where the daemon meets its clients: an endpoint to listen at, or instead a router or a Zenoh configuration."""
-
-    listen: str
-    connect: str | None
-    file: Path | None
-
-    def config(self) -> zenoh.Config:
-        """Returns the configuration of the session. Peers do not hear each other through a router, clients do."""
-        if self.connect is not None:
-            return zenoh_config(None, connect=self.connect)
-        return zenoh_config(self.file, mode="peer", listen=self.listen)
 
 
 def check_options(
@@ -171,22 +160,32 @@ def reachable(listen: str) -> str:
     return listen
 
 
-def serve(file: Path, executor: RunningExecutor, network: Network, ledger: Path | None, *, simulated: bool) -> None:
-    """Serves an arm until a signal arrives, or until the executor that this command started ends."""
+def serve(
+    file: Path,
+    executor: RunningExecutor,
+    config: zenoh.Config,
+    router: str | None,
+    ledger: Path | None,
+    *,
+    simulated: bool,
+) -> None:
+    """Serves an arm until a signal arrives, or until the executor that this command started ends.
+
+    `config` is that of the session with the clients; `router`: endpoint of the router that the daemon joins, if any.
+    """
     from hyperbit.controller.gateway.daemon import AlreadyRunning, running
     from hyperbit.controller.host.keeper import FileInUse
     from hyperbit.controller.network.reach import NoSession
     from hyperbit.controller.planning.ledger_file import default_path
 
     arm = load_wired(file)
-    config = network.config()
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
     densities = densities_of(arm)
     book = ledger or default_path(arm.settings.name, simulated=simulated)
     ending = ending_event()  # before the first goal, so that an early signal ends goals in order
     try:
-        if network.connect is not None:
-            wait_for_router(network.connect, ending)
+        if router is not None:
+            wait_for_router(router, ending)
             if ending.is_set():
                 return
         with running(arm, densities, digest, config, book, executor.path, simulated=simulated) as daemon:

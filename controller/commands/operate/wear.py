@@ -27,6 +27,8 @@ def wear(
     """Print how often each actuator has switched, and how goals ended."""
     import sqlite3
 
+    from rich.table import Table
+
     from hyperbit.controller.planning.ledger_file import read
 
     name, actuators = name_and_labels(file)
@@ -43,7 +45,11 @@ def wear(
         print_json({"ledger": str(path), "simulated": simulated, "switches": counts, "goals": goals})
         return
     common.console.print(f"ledger {path}{' of simulated boards' if simulated else ''}", markup=False)
-    print_counts(counts)
+    most = max(max(counts.values()), 1)
+    table = Table("actuator", "switches", "", title=f"{sum(counts.values())} switches, the most worn first")
+    for label, count in sorted(counts.items(), key=lambda item: -item[1]):
+        table.add_row(label, str(count), drawn("█", "#") * round(30 * count / most))
+    common.print_table(table)
     ended = [str(goal["status"] or "unfinished") for goal in goals]
     common.console.print(
         ", ".join(f"{ended.count(status)} {status}" for status in sorted(set(ended))) or "no goals yet"
@@ -62,28 +68,16 @@ def name_and_labels(file: Path) -> tuple[str, tuple[str, ...]]:
 
 
 def ledger_of(name: str, *, simulated: bool = False) -> Path:
-    """Returns the path of an arm's ledger: of those of services and of this user the one that was written last."""
+    """Returns the path of an arm's ledger: of those of services and of this user the one that was written last.
+
+    It is this user's path if there is none. Ledgers that the user cannot read are named.
+    """
     from hyperbit.controller.host.folders import SIMULATED
     from hyperbit.controller.planning.ledger_file import default_path
 
     services = [*SERVICE_FOLDERS, *(instance / "planner" for instance in INSTANCES.glob("*"))]
     folders = [folder / SIMULATED if simulated else folder for folder in services]
-    own = default_path(name, simulated=simulated)
-    return last_written([own, *(folder / f"{name}.sqlite" for folder in folders)])
-
-
-def print_counts(counts: dict[str, int]) -> None:
-    from rich.table import Table
-
-    most = max(max(counts.values()), 1)
-    table = Table("actuator", "switches", "", title=f"{sum(counts.values())} switches, the most worn first")
-    for label, count in sorted(counts.items(), key=lambda item: -item[1]):
-        table.add_row(label, str(count), drawn("█", "#") * round(30 * count / most))
-    common.print_table(table)
-
-
-def last_written(ledgers: list[Path]) -> Path:
-    """Returns the ledger that was written last, else the first path; names those that the user cannot read."""
+    ledgers = [default_path(name, simulated=simulated), *(folder / f"{name}.sqlite" for folder in folders)]
     times: dict[Path, float] = {}
     for path in ledgers:
         try:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import typer
@@ -40,9 +40,6 @@ from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.search.method import Method
 from hyperbit.controller.studies.shares import Run, goals_a_share
 from hyperbit.controller.studies.stream import results
-
-if TYPE_CHECKING:
-    pass
 
 ONE_GOAL = "One goal, optionally with an orientation; spatial arms: X,Y,Z[,QX,QY,QZ,QW]."
 MANY_GOALS = "Goals with columns x,y[,th] or x,y,z[,qx,qy,qz,qw], and optionally `previous`."

@@ -17,6 +17,7 @@ from hyperbit.controller.commands.common import (
     check_output,
     console,
     densities_of,
+    drawing,
     parse_goal,
     print_json,
     print_table,
@@ -97,10 +98,8 @@ def workspace(
         fields["locked"] = locks(arm, reach, locked or 0)
         drawn.append(locked_field(reach, locked or 0))
     shown_at = found if found is not None and len(found.counts) else None
-    try:
+    with drawing(picture):
         draw_workspace(reduced, drawn, point, shown_at, arm.settings.name).savefig(picture, dpi=130)
-    except (OSError, ValueError) as error:
-        raise InputFaults(picture, [f"cannot be written: {error}"]) from None
     fields["picture"] = str(picture)
     if as_json:
         print_json(fields)

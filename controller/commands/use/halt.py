@@ -26,7 +26,6 @@ SEARCH = "name the executor's socket or its folder by --socket, or stop an arm e
 def halt(
     arm: Annotated[str, typer.Argument(metavar="ARM", help=ARM, show_default=False)] = "",
     socket: Annotated[Path | None, typer.Option(help="Socket of the executor, or its folder.")] = None,
-    local: Annotated[bool, typer.Option("--local", hidden=True, help="Of older scripts; it changes nothing.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Stop arms of this computer, without planner and Zenoh. No substitute for a power switch."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -34,9 +33,8 @@ class Daemon:
         boards[0]["input_contracted"] = 2
         return {"actuators": LABELS, "boards": boards, "accepted": True, "message": "canceled"}
 
-    def subscribe(self, key: str, callback: Callable[[dict[str, Any]], None]) -> Any:
-        callback({"mode": self.mode, "reason": "why", "commanded": self.commanded})
-        return contextlib.nullcontext()
+    def next_message(self, key: str) -> dict[str, Any]:
+        return {"mode": self.mode, "reason": "why", "commanded": self.commanded}
 
     def run(self, payload: dict[str, Any], key: str) -> dict[str, Any]:
         assert key == "jog"

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import zenoh
 
 import hyperbit.controller.commands.operate.run as run_module
 from hyperbit.controller import cli
@@ -64,9 +65,8 @@ def test_a_daemon_whose_thread_has_died_ends_the_process_in_words(
     file = tmp_path / "a.yaml"
     file.write_text("")
     executor = run_module.RunningExecutor(tmp_path / "a.sock", lambda: None)
-    network = run_module.Network("tcp/127.0.0.1:0", None, None)
     with pytest.raises(CommandFailed, match="thread for goals has ended: MemoryError\\(\\): the log has details"):
-        run_module.serve(file, executor, network, tmp_path / "l.sqlite", simulated=False)
+        run_module.serve(file, executor, zenoh.Config(), None, tmp_path / "l.sqlite", simulated=False)
 
 
 @pytest.mark.parametrize(

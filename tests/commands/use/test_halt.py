@@ -27,7 +27,7 @@ def arms(tmp_path, monkeypatch):
 def test_each_arm_has_a_line(hyperbit, arms):
     words = ("halt", "--socket", str(arms))
     assert hyperbit(*words) == (0, "a: stopped by process a\nb: stopped by process b\n", "")
-    code, out, err = hyperbit(*words, "--local", "--json")
+    code, out, err = hyperbit(*words, "--json")
     assert (code, err) == (0, "")
     assert [json.loads(line) for line in out.splitlines()] == [
         {"arm": name, "accepted": True, "message": f"stopped by process {name}"} for name in ("a", "b")

@@ -37,9 +37,8 @@ def test_stop_sends_a_request(hyperbit, gateway):
     assert gateway.planner.heard == [("stop", None)]
 
 
-@pytest.mark.parametrize("older", [(), ("--local",)])
-def test_a_halt_without_an_executor_fails_with_a_message(hyperbit, tmp_path, older):
-    code, out, err = hyperbit("halt", "a", *older, "--socket", str(tmp_path))
+def test_a_halt_without_an_executor_fails_with_a_message(hyperbit, tmp_path):
+    code, out, err = hyperbit("halt", "a", "--socket", str(tmp_path))
     assert (code, out) == (1, "")
     assert "no executor answers" in err
     assert "hyperbit stop ARM" in err

@@ -205,7 +205,7 @@ def test_all_arms_of_a_computer_are_halted_without_planner_and_zenoh(executor: P
     planner.wait(Snapshot, lambda message: message.mode == "ready")
     folder = str(executor.socket.parent)
     script = (
-        "import sys; from controller import cli; sys.argv[1:] = ['halt', '--local', '--socket', sys.argv[1]]\n"
+        "import sys; from controller import cli; sys.argv[1:] = ['halt', '--socket', sys.argv[1]]\n"
         "try: cli.main()\n"
         "except SystemExit: pass\n"
         "assert not {'zenoh', 'numpy', 'rich', 'numba'} & set(sys.modules), set(sys.modules)"

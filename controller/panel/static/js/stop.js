@@ -52,7 +52,7 @@ export function pressToStop(button, { path, what, notify, connection = null }) {
     const pressed = performance.now();
     const watch = setInterval(() => {
       if (performance.now() - pressed < UNCONFIRMED) return;
-      const text = `STOP NOT CONFIRMED: ${latest}. Cut the arm's power by its switch, or run hyperbit halt --local on its `
+      const text = `STOP NOT CONFIRMED: ${latest}. Cut the arm's power by its switch, or run hyperbit halt on its `
         + "computer. This page asks again until a stop is confirmed.";
       document.body.append(...(alarm.isConnected ? [] : [alarm])); // also beside the login form
       alarm.hidden = false;
