@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from hyperbit.controller.arm.tables import is_unit, read_table
+from hyperbit.controller.arm.tables import read_table
 from hyperbit.controller.armfile.settings import (
     Diagonal,
     FrameSettings,
@@ -17,6 +17,7 @@ from hyperbit.controller.armfile.settings import (
     VgtLengths,
     VgtSettings,
 )
+from hyperbit.controller.armfile.strict import UNIT
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.manipulator.joints import prismatic, revolute, summed
 from hyperbit.controller.manipulator.module import Module, binary_code, transforms
@@ -56,7 +57,7 @@ def build_frame(settings: FrameSettings, path: str, faults: list[str]) -> frames
     """Returns the frame (4, 4); appends a fault and returns None if it is invalid."""
     angle, position = settings.orientation, settings.position
     if isinstance(angle, list):
-        if not is_unit(angle):
+        if abs(math.hypot(*angle) - 1.0) > UNIT:
             faults.append(f"{path}.orientation: a quaternion x, y, z, w of length 1 is needed, got {angle}")
             return None
         return frames.spatial([*position, 0.0][:3], angle)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from hyperbit.controller.armfile.choices import LARGEST, LARGEST_ANGLE, number
 from hyperbit.controller.armfile.csv_files import check_states, read_states
+from hyperbit.controller.armfile.strict import UNIT
 from hyperbit.controller.manipulator import frames
 
 PLANAR, SPATIAL = ("x", "y", "th"), ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -51,12 +52,7 @@ def read_row(row: Sequence[str], columns: Sequence[str], where: str, faults: lis
     if "th" in values:
         return frames.planar(values["x"], values["y"], values["th"])
     quaternion = [values[name] for name in SPATIAL[3:]]
-    if not is_unit(quaternion):
+    if abs(math.hypot(*quaternion) - 1.0) > UNIT:
         faults.append(f"{where}: a quaternion qx, qy, qz, qw of length 1 is needed, got {quaternion}")
         return None
     return frames.spatial([values["x"], values["y"], values["z"]], quaternion)
-
-
-def is_unit(quaternion: Sequence[float]) -> bool:
-    """Returns whether a quaternion has length 1, within the rounding of a few digits."""
-    return math.isclose(math.hypot(*quaternion), 1.0, abs_tol=1e-3)

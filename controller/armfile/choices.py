@@ -151,14 +151,10 @@ def number_hint(text: str) -> str:
     return f"; write {plain(value * factor)} ({name})"
 
 
-def members_of(kind: Any) -> tuple[Any, ...]:
-    """Returns the members of a union; of any other type, the type."""
-    return get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
-
-
 def description_of(kind: Any) -> str:
     """Returns the description of a type, or of a member of a union: its unit, or its characters; "" without one."""
-    named = [meta.description for member in members_of(kind) for meta in getattr(member, "__metadata__", ())]
+    members = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
+    named = [meta.description for member in members for meta in getattr(member, "__metadata__", ())]
     return next(filter(None, named), "")
 
 

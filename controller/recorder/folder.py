@@ -68,8 +68,8 @@ class Folder:
         for path in sorted(self._recordings()):
             try:
                 if unfinished(path):
-                    done = repair(path)
-                    what = "deleted, it had no message" if done.messages is None else f"has {done.messages} messages"
+                    messages = repair(path)
+                    what = "deleted, it had no message" if messages is None else f"has {messages} messages"
                     log.warning("%s was incomplete: repaired, %s", path, what)
             except OSError as error:
                 log.error("%s is incomplete and cannot be repaired: %s", path, error.strerror)

@@ -4,7 +4,7 @@ import contextlib
 import logging
 import platform
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,10 +13,11 @@ import msgspec
 
 from hyperbit.controller.network.listener import Listener, ReceivedMessage
 from hyperbit.controller.pictures.scene import FoxgloveScene
-from hyperbit.controller.recorder.event_log import EventLog, LogLine
 from hyperbit.controller.recorder.folder import Folder
 from hyperbit.controller.recorder.recording import LogClock, Recording
 from hyperbit.controller.recorder.schemas import LOG, SCENE, TOPICS, TRANSFORMS
+
+Message = Mapping[str, Any]
 
 log = logging.getLogger(__name__)
 
@@ -25,8 +26,47 @@ ASK_EVERY = 5.0  # [s] between two requests for the arm's description, while the
 RETRY = 10.0  # [s] after a failure of the disk
 MOST_TOPICS = 100  # topics of unknown keys; further ones are recorded as "other"
 UNEXPECTED = (LookupError, TypeError, ValueError, AttributeError)  # raised by messages of another form than ours
+INFO, WARNING, ERROR = 2, 3, 4  # levels of foxglove.Log
 STEP_BEFORE = 0.001  # [s] before a change, at which the old frames are repeated
 SCENE_FIELDS = ("commanded", "measured", "target")
+
+
+class EventLog:
+    """Makes log lines from changes between messages."""
+
+    def __init__(self) -> None:
+        self._mode: tuple[str, str] | None = None
+        self._faults: set[tuple[str, str]] = set()
+
+    def lines(self, key: str, message: Message) -> Iterator[tuple[int, str]]:
+        """Yields the log lines of a message, each with its level."""
+        match key:
+            case "state":
+                yield from self._state(message)
+            case "request":
+                answer = message.get("answer") or {}
+                level = INFO if answer.get("accepted") else WARNING
+                named = f" {answer['id']}" if answer.get("id") else ""
+                outcome = "accepted" if answer.get("accepted") else "refused"
+                yield level, f"{message.get('key')}{named} {outcome}: {answer.get('message')}"
+            case "result":
+                level = INFO if message.get("code") == 0 else WARNING
+                yield level, f"goal {message.get('id')} {message.get('status')}: {message.get('message')}"
+            case "alive":
+                alive = message.get("alive")
+                yield (INFO if alive else ERROR), "the daemon is there" if alive else "the daemon is gone"
+
+    def _state(self, state: Message) -> Iterator[tuple[int, str]]:
+        mode = str(state.get("mode")), str(state.get("reason"))
+        if mode != self._mode:
+            self._mode = mode
+            yield (WARNING if mode[0] in ("fault", "stopped") else INFO), f"{mode[0]}: {mode[1]}"
+        faults = {(str(it.get("code")), str(it.get("source"))): it for it in state.get("faults") or ()}
+        for key in faults.keys() - self._faults:
+            yield ERROR, f"{key[0]} at {key[1]}: {faults[key].get('message')}"
+        for code, source in sorted(self._faults - faults.keys()):
+            yield INFO, f"{code} at {source} is gone"
+        self._faults = set(faults)
 
 
 class Limits(NamedTuple):
@@ -63,7 +103,7 @@ class Recorder:
         self._description: bytes | None = None
         self._scene: FoxgloveScene | None = None
         self._drawn: tuple[Any, ...] | None = None
-        self._state: tuple[int, Mapping[str, Any], bytes] | None = None  # the latest: log time, decoded, encoded
+        self._state: tuple[int, Message, bytes] | None = None  # the latest: log time, decoded, encoded
         self._topics: set[str] = set()
         self._obstacles: Any = None
         self._asked_at = -ASK_EVERY
@@ -75,7 +115,7 @@ class Recorder:
             for item in listener.receive_messages(POLL):
                 self.receive_message(item)
             if dropped := listener.dropped():
-                self._say(LogLine(4, f"{dropped} messages were dropped: the disk is too slow"))
+                self._say(ERROR, f"{dropped} messages were dropped: the disk is too slow")
             if self._needs_description and time.monotonic() >= self._asked_at + ASK_EVERY:
                 self._asked_at = time.monotonic()
                 listener.ask()
@@ -102,8 +142,8 @@ class Recorder:
         message = msgspec.json.decode(data)
         self._write(key, key, data, at, published(message, at))
         with contextlib.suppress(*UNEXPECTED):
-            for line in self._events.lines(key, message):
-                self._say(line, at)
+            for level, text in self._events.lines(key, message):
+                self._say(level, text, at)
         if key == "state":
             self._state = at, message, data
             if message.get("obstacles") != self._obstacles:  # other obstacles were sent: the description has them
@@ -119,7 +159,7 @@ class Recorder:
             arm = msgspec.json.decode(data)
             self._scene = FoxgloveScene(arm)
         except (msgspec.MsgspecError, RecursionError, *UNEXPECTED) as error:
-            self._say(LogLine(3, f"the daemon's description of the arm cannot be drawn: {error}"), at)
+            self._say(WARNING, f"the daemon's description of the arm cannot be drawn: {error}", at)
             self._scene = None
         else:
             self._description, self._drawn = data, None
@@ -174,7 +214,7 @@ class Recorder:
                 )
                 frames["transforms"][:0] = held["transforms"]
         except UNEXPECTED as error:  # a state of another arm or version
-            self._say(LogLine(3, f"a state cannot be drawn: {error}"), at)
+            self._say(WARNING, f"a state cannot be drawn: {error}", at)
             return
         self._write("scene", SCENE, scene, at, stamp)
         self._write("frames", TRANSFORMS, msgspec.json.encode(frames), at, stamp)
@@ -192,11 +232,11 @@ class Recorder:
             self._topics.add(key)
         return key, data
 
-    def _say(self, line: LogLine, at: int | None = None) -> None:
+    def _say(self, level: int, text: str, at: int | None = None) -> None:
         """Writes a line of the log."""
         at = self._clock.now() if at is None else at
         seconds, nanoseconds = divmod(at, 1_000_000_000)
-        entry = {"timestamp": {"sec": seconds, "nsec": nanoseconds}, "level": line.level, "message": line.text}
+        entry = {"timestamp": {"sec": seconds, "nsec": nanoseconds}, "level": level, "message": text}
         entry |= {"name": self._arm, "file": "", "line": 0}
         self._write("log", LOG, msgspec.json.encode(entry), at, at)
 

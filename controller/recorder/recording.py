@@ -55,7 +55,7 @@ class Recording:
             log_time: time of arrival on the recorder's clock [ns].
             publish_time: time of publication on the sender's clock [ns].
         """
-        if self._unflushed is not None and log_time - self._unflushed >= FLUSH_EVERY:
+        if self.due(log_time):
             self.flush()
         channel = self._channel(topic, kind)
         self._sequences[channel] = sequence = self._sequences.get(channel, -1) + 1

@@ -252,15 +252,9 @@ def arm_file(past: RecordingReader, folder: Path) -> Path:
 def counted(past: RecordingReader, path: Path) -> None:
     """Writes a ledger with each actuator's switches at the begin of the recording, on which weights may depend."""
     labels = (past.description or {}).get("actuators") or ()
-    counts = next((it for it in first_counts(past) if len(it) == len(labels)), None)
-    if counts is not None:
-        ledger = Ledger(path, labels)
-        ledger.counts(counts)
-        ledger.close()
-
-
-def first_counts(past: RecordingReader) -> Iterator[list[int]]:
-    """Yields the switch counts, length A, of the recording's diagnostics."""
     for message in past.messages():
-        if message.key == "diagnostics" and (counts := msgspec.json.decode(message.data).get("counts")):
-            yield counts
+        counts = msgspec.json.decode(message.data).get("counts") if message.key == "diagnostics" else None
+        if counts and len(counts) == len(labels):
+            with contextlib.closing(Ledger(path, labels)) as ledger:
+                ledger.counts(counts)
+            return

@@ -5,7 +5,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import zstandard
 from mcap.exceptions import McapError
@@ -32,18 +32,6 @@ DAMAGE = (
 )
 
 
-class Repaired(NamedTuple):
-    """Outcome of a repair.
-
-    Attributes:
-        path: path of the file.
-        messages: number of messages in the repaired file; None if it had none and was deleted.
-    """
-
-    path: Path
-    messages: int | None
-
-
 def unfinished(path: Path) -> bool:
     """Returns whether a file begins as an MCAP file, but has no end."""
     with path.open("rb") as file:
@@ -55,8 +43,10 @@ def unfinished(path: Path) -> bool:
         return file.read() != MCAP0_MAGIC
 
 
-def repair(path: Path) -> Repaired:
+def repair(path: Path) -> int | None:
     """Completes an incomplete file from its whole records; deletes a file without records.
+
+    Returns the number of messages in the completed file; None if it was deleted.
 
     The completed file replaces the incomplete one atomically: a kill meanwhile leaves the incomplete file.
 
@@ -71,11 +61,11 @@ def repair(path: Path) -> Repaired:
             os.fsync(completed.fileno())
         if records == 0:
             path.unlink()
-            return Repaired(path, None)
+            return None
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
-    return Repaired(path, count)
+    return count
 
 
 def rewrite(damaged: IO[bytes], completed: IO[Any]) -> tuple[int, int]:

@@ -9,8 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from hyperbit.controller.bench import method_job
-from hyperbit.controller.bench.method_job import TooLongError, at_most
+from hyperbit.controller.bench import running
+from hyperbit.controller.bench.running import TooLongError, at_most
 
 
 def endless() -> None:
@@ -46,7 +46,7 @@ def test_a_block_in_time_and_its_own_exceptions_are_left_alone():
     with pytest.raises(ZeroDivisionError), at_most(60):
         raise ZeroDivisionError
     timers = [each for each in threading.enumerate() if isinstance(each, threading.Timer)]
-    assert not any(timer.function is method_job.set_exception for timer in timers)
+    assert not any(timer.function is running.set_exception for timer in timers)
 
 
 def test_nothing_is_raised_after_the_block():
@@ -76,8 +76,8 @@ def test_an_exception_that_comes_too_late_is_taken_back(monkeypatch):
     def recorded(thread: int, kind: type[BaseException] | None) -> None:
         kinds.append(kind)
 
-    monkeypatch.setattr(method_job.threading, "Timer", Late)
-    monkeypatch.setattr(method_job, "set_exception", recorded)
+    monkeypatch.setattr(running.threading, "Timer", Late)
+    monkeypatch.setattr(running, "set_exception", recorded)
     with at_most(60):
         pass
     assert kinds == [TooLongError, None]

@@ -73,12 +73,12 @@ def test_a_file_cut_anywhere_is_repaired_with_all_that_two_readers_find(tmp_path
         assert unfinished(path)
         expected = read_unfinished(whole[:cut])
         assert expected == recovered_by_another(whole[:cut])
-        done = repair(path)
-        if done.messages is None:
+        messages = repair(path)
+        if messages is None:
             assert expected == []
             assert not path.exists()
             continue
-        assert done.messages == len(expected)
+        assert messages == len(expected)
         assert read(path) == expected == read_by_another(path)
         assert not unfinished(path)
 
@@ -92,9 +92,9 @@ def test_a_damaged_file_keeps_what_is_before_the_damage(tmp_path: Path) -> None:
         for _ in range(draw.randrange(1, 5)):
             data[draw.randrange(len(data))] = draw.randrange(256)
         path.write_bytes(data)
-        done = repair(path)  # raises nothing
-        if done.messages is not None:
-            found = numbers(read(path)) if done.messages else []
+        messages = repair(path)  # raises nothing
+        if messages is not None:
+            found = numbers(read(path)) if messages else []
             assert found == list(range(len(found)))
 
 
@@ -102,10 +102,10 @@ def test_metadata_and_attachments_survive(tmp_path: Path) -> None:
     recording = written(tmp_path / "a.mcap")
     recording.flush()
     recording.abandon()
-    assert repair(recording.path).messages == 100
+    assert repair(recording.path) == 100
     kinds = names(recording.path)
     assert kinds.count("Metadata") == kinds.count("Attachment") == 1
-    assert repair(recording.path).messages == 100, "a repaired file stays as it is"
+    assert repair(recording.path) == 100, "a repaired file stays as it is"
 
 
 def test_a_file_that_nobody_can_write_is_told_as_such(tmp_path: Path) -> None:
