@@ -76,7 +76,7 @@ _status = Stream.status
 _outcome_of = results.outcome_of
 _measure = GoalTracker.measure
 _flush = ExecutorLink.flush
-_progress = Goal.progress
+_present = Goal.present
 _send = ExecutorLink.send
 
 
@@ -187,9 +187,11 @@ def _count_no_refusal(self: Stream) -> Any:
     return {**_status(self), "refused": 0}
 
 
-def _tell_next_reached(self: Goal, wall: float) -> Any:
-    told = _progress(self, wall)
-    return {**told, "reached": min(told["reached"] + 1, told["waypoints"])}
+def _tell_reached(self: Goal, wall: float, more: int) -> Any:
+    told = _present(self, wall)
+    progress = told["progress"]
+    reached = min(progress["reached"] + more, progress["waypoints"]) if more else 0
+    return {**told, "progress": {**progress, "reached": reached}}
 
 
 def _tell_full_time(self: Goal) -> float:
@@ -197,10 +199,10 @@ def _tell_full_time(self: Goal) -> float:
 
 
 DEFECTS: dict[str, list[Patch]] = {
-    "progress is a waypoint ahead": [(Goal, "progress", _tell_next_reached)],
+    "progress is a waypoint ahead": [(Goal, "present", lambda self, wall: _tell_reached(self, wall, 1))],
     "the remaining time does not fall": [(Goal, "end", property(_tell_full_time))],  # type: ignore[list-item]
     "no time remains": [(Goal, "end", property(lambda self: self.begin))],  # type: ignore[list-item]
-    "progress stays": [(Goal, "progress", lambda self, wall: {**_progress(self, wall), "reached": 0})],
+    "progress stays": [(Goal, "present", lambda self, wall: _tell_reached(self, wall, 0))],
     "requests are answered twice": [(Programs, "recorded", _answer_twice)],
     "queries are not answered": [(Queries, "_answer", _lose_every_third)],
     "results are published again by the next process": [(Results, "__init__", _forget_published)],

@@ -1,18 +1,23 @@
 """The latest state of the executor: its snapshot in the planner's terms, the mode and the connection."""
 
+from __future__ import annotations
+
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
-from hyperbit.controller.motion.stages.pacing import Pace
 from hyperbit.controller.motion.stages.program import pack_states, unpack_states
 from hyperbit.controller.planning.core.events import Payload
 from hyperbit.controller.planning.core.tasks import ArmStart
 from hyperbit.controller.program import Diagnostics, Ended, Mode, Settled, Snapshot, Welcome
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal, no_motion
+
+if TYPE_CHECKING:
+    from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+    from hyperbit.controller.motion.stages.pacing import Pace
 
 States = NDArray[np.uint8]
 Measured = NDArray[np.int8]  # actuator states, -1 unknown

@@ -1,15 +1,15 @@
 """The core of the planner: takes events and returns actions. It has no clock, no I/O, no threads and no search."""
 
+from __future__ import annotations
+
 import logging
 import math
 import traceback
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from hyperbit.controller import program
-from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.host.process import Log, Quit
-from hyperbit.controller.motion.stages.pacing import Pace
 from hyperbit.controller.motion.tracking.tracking import tracking_of
 from hyperbit.controller.planning.core import events
 from hyperbit.controller.planning.core.arm import ExecutorView
@@ -26,6 +26,10 @@ from hyperbit.controller.planning.core.tasks import ImprovePlan, Planned, Tables
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.method import MINIMUM_SWITCH
+
+if TYPE_CHECKING:
+    from hyperbit.controller.arm.arm import Arm
+    from hyperbit.controller.motion.stages.pacing import Pace
 
 # Opaque fields for the core; the flight recorder omits them.
 OPAQUE: dict[type, str] = {Tables: "solvers", VersionedScene: "keep_out", ImprovePlan: "plan", Planned: "plan"}

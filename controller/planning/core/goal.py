@@ -1,15 +1,16 @@
 """A goal or jog from its arrival to its result: its record, its program, and what is told about it on the way."""
 
+from __future__ import annotations
+
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
 
 from hyperbit.controller.armfile.locks import STATES
-from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.manipulator.notation import format_configuration, pose
 from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
 from hyperbit.controller.motion.stages.feed import Feed, PlannedPoint, PlanProof, Route
@@ -23,6 +24,9 @@ from hyperbit.controller.planning.core.tasks import Basis, Planned
 from hyperbit.controller.program import Ended, Program, Settled
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
+
+if TYPE_CHECKING:
+    from hyperbit.controller.manipulator.manipulator import Manipulator
 
 MOST_CONTEXT = 8_192  # bytes, limit of the executor's contract
 

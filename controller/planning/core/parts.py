@@ -5,14 +5,19 @@ the numbers of arrivals, the executor by epoch. While a cancel is unanswered, ne
 begins with its answer.
 """
 
+from __future__ import annotations
+
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from hyperbit.controller.motion.stages.pacing import Pace
 from hyperbit.controller.planning.core.arm import ExecutorView
 from hyperbit.controller.planning.core.events import Abandon, Action, Fail, Hurry, Start
 from hyperbit.controller.planning.core.tasks import Answer, PrepareSearch, Task
+
+if TYPE_CHECKING:
+    from hyperbit.controller.motion.stages.pacing import Pace
 
 HUNG = 60.0  # [s] after which a worker with an abandoned task counts as hung
 MOST_UNRESOLVED = 256  # tickets without an epoch; each stream of set-points without an executor leaves one

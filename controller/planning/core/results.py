@@ -1,16 +1,18 @@
 """Results: each is made, published, recorded and acknowledged, in this order, also one of an earlier process."""
 
+from __future__ import annotations
+
 import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.host.journal import fields_of_result
 from hyperbit.controller.host.process import Log
-from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.motion.stages.feed import PlanProof
 from hyperbit.controller.motion.targets import GoalTarget, measured_pose
 from hyperbit.controller.planning.core import events
@@ -20,6 +22,9 @@ from hyperbit.controller.planning.core.goal import Context, Goal, GoalOutcome
 from hyperbit.controller.planning.core.parts import Parts
 from hyperbit.controller.program import Acknowledge, Ended
 from hyperbit.controller.refusals import codes
+
+if TYPE_CHECKING:
+    from hyperbit.controller.manipulator.manipulator import Manipulator
 
 LOST = "the executor ended before it told how this goal ended; where the arm is now, `state` says"
 SENT_AGAIN_WITHIN = 5.0  # [s] after its greeting; by then the executor has sent its stored results

@@ -4,13 +4,15 @@ A stream is a sequence of set-points of one sender without a pause longer than t
 fault, reset or goal ends the present stream. Only a stream that begins later is followed.
 """
 
+from __future__ import annotations
+
 import logging
 import math
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.host.process import Log
 from hyperbit.controller.motion.decoding.setpoint import decode
 from hyperbit.controller.motion.tracking.tracking import GoalTracker, Tracking
@@ -23,6 +25,9 @@ from hyperbit.controller.planning.core.tasks import Answer, Basis, Failed, Follo
 from hyperbit.controller.program import TICK, Setpoint
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
+
+if TYPE_CHECKING:
+    from hyperbit.controller.arm.arm import Arm
 
 POLL = 0.005  # [s] between two considerations, at least
 ALIVE_EVERY = 0.02  # [s] between unchanged commands, which keep the stream alive
