@@ -30,7 +30,7 @@ test-real-time:
 
 # More processes than processors, because many of these tests wait, too. They leave BLAS no threads to gain by.
 test-others:
-	OPENBLAS_NUM_THREADS=1 nice $(BIN)/pytest --numprocesses 3 --dist worksteal --durations 20 $(REAL_TIME:%=--ignore %) \
+	OPENBLAS_NUM_THREADS=1 nice $(BIN)/pytest --numprocesses 5 --dist worksteal --durations 20 $(REAL_TIME:%=--ignore %) \
 		--ignore tests/browser
 
 # Prepares the virtual machine, so that its tests begin at once.

@@ -24,7 +24,7 @@ class Actuation:
     `tick` switches a pulsed output off when its pulse ends, in every mode. The state of an actuator with two outputs is
     uncertain while both outputs are off and the last one that was on is unknown. This happens after a start of the
     executor, after a restart of the board, and after a pulse that was over before it was read back. After a boot it is
-    uncertain if nobody reads the board back (`verify: false`) and a pulse came since the boot before.
+    uncertain if nobody reads the board back (`verify: false`), and the board was not heard since the pulse.
     """
 
     def __init__(self, master: Master, arm: ExecutedArm, kinds: Kinds, journal: SwitchJournal) -> None:
@@ -46,7 +46,7 @@ class Actuation:
         self.told = 0  # mask of the actuators reported as overdue
         self._adopted_at = -math.inf
         self._doubtful = 0  # mask of the paired actuators that the running commit energises
-        self._trusted = 0  # mask of the actuators that had a pulse since the last boot, which nobody read back
+        self._unheard: dict[int, int | None] = {}  # actuators whose pulse nobody reads back; frames of the board then
         self._given_up = False  # the running commit is not wanted any more
         self._boots: tuple[int, ...] = ()  # boot count of each board when the outputs were adopted
 
@@ -126,6 +126,8 @@ class Actuation:
         if not self._kinds.paired:
             return
         self._find_missed()
+        if self._unheard:
+            self._find_heard(now)
         extending, contracting = self._kinds.on(self._master.outputs)
         over = (extending & contracting) | ((extending | contracting) & ~self._on(now))
         doubtful = self._watch_doubtful_pulses(now)
@@ -160,7 +162,7 @@ class Actuation:
         for k in indices(energised & self._kinds.pulsed):
             self._pulse_ends[k] = now + self._kinds.pulse[k]
             self._watched |= 1 << k
-        self._trusted |= energised & self._kinds.pulsed & self._kinds.trusted
+        self._unheard |= dict.fromkeys(indices(energised & self._kinds.pulsed & self._kinds.trusted))
         self.uncertain &= ~energised
         self.missed &= ~energised
         self._doubtful &= ~energised
@@ -197,12 +199,13 @@ class Actuation:
         self.missed = 0
         extending, contracting = self._kinds.on(self._master.outputs)
         told = extending ^ contracting
-        self.uncertain |= self._find_rebooted() | self._doubtful | self._trusted | (extending & contracting)
+        self.uncertain |= self._find_rebooted() | self._doubtful | mask_of(self._unheard) | (extending & contracting)
         self.uncertain &= ~told
         resting = definite & self._kinds.paired & ~told
         self._states = merged(resting, measured, self.states)
         self.uncertain &= ~resting
-        self._doubtful = self._trusted = 0
+        self._doubtful = 0
+        self._unheard.clear()
         states, first = self.states, self._adopted is None
         self.switches += self._journal.resolve(states, self.uncertain).bit_count()
         self._record_moved(self._kinds.everything if first else (self._adopted or 0) ^ states, now)
@@ -231,6 +234,15 @@ class Actuation:
         if missed := self._master.drain_missed():
             self.missed |= self._kinds.actuators(missed) & ~self._kinds.actuators(self._master.outputs)
             self.uncertain |= self.missed
+
+    def _find_heard(self, now: float) -> None:
+        """Forgets the pulses whose board was heard after their end: it was there, so it has taken them."""
+        for k, before in list(self._unheard.items()):
+            frames = self._master.heard(self._master.board_of[k])
+            if before is None and frames and now >= self._pulse_ends[k]:
+                self._unheard[k] = frames
+            elif before is not None and frames > before:
+                del self._unheard[k]
 
     def _find_rebooted(self) -> int:
         """Returns the mask of the paired actuators whose board has restarted since the last adoption."""

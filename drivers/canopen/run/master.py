@@ -247,6 +247,10 @@ class Master:
         """Number of boot-up messages of each board so far."""
         return tuple(board.boots for board in self._boards)
 
+    def heard(self, board: int) -> int:
+        """Number of understood frames of a board so far; 0 if it is not ready."""
+        return self._boards[board].frames if self._boards[board].ready else 0
+
     def questioning(self, board: int) -> bool:
         """Returns whether a question to a board still waits for its answer."""
         return self._boards[board].questioning

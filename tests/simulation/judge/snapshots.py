@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 from hyperbit.controller.program import Snapshot, unpack
@@ -34,7 +33,6 @@ class Snapshots:
         self.locks_asked = 0
         self._shown_at = self._read_at = self._a.now
         self.boots = 0
-        self._booted_at = -math.inf  # end of the last boot [s]
         self._restarted = 0  # mask of the actuators whose board has restarted since the arm became ready
 
     def hears(self, bus: str, cob_id: int, data: bytes) -> None:
@@ -141,8 +139,7 @@ class Snapshots:
                 known |= arm.definite(reading.extended, reading.contracted)
             lost, self._restarted = self._restarted & arm.paired & ~known & ~a.locked, 0
             require(not lost & ~homing, f"the boards of {lost:b} have restarted, {homing:b} are to be homed")
-            pulsed = mask_of(arm.pulse) & a.ground.came_since(self._booted_at)
-            a.unknown, self._booted_at = (a.unknown | self._proofs.forgone & pulsed) & ~known, a.now
+            a.unknown &= ~known
             a.knows_unknown = a.clear
         if not a.clear:
             a.unknown, a.knows_unknown = homing | a.locked & arm.paired, False
