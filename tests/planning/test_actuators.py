@@ -72,9 +72,11 @@ def test_tables_that_cannot_be_rebuilt_are_a_fault_until_reset(desk: Desk) -> No
     desk.show(locked=b"\x01\x00", locks=1)
     assert desk.state()["mode"] == "fault"
     assert "no memory" in desk.state()["reason"]
+    assert ("internal-error", "daemon") in [(fault["code"], fault["source"]) for fault in desk.state()["faults"]]
     desk.failing.clear()
     desk.ask("reset")
     assert desk.state()["mode"] == "ready"
+    assert "internal-error" not in [fault["code"] for fault in desk.state()["faults"]]
 
 
 def test_a_state_that_the_end_stop_denies_is_the_executors_to_refuse(desk: Desk) -> None:

@@ -15,7 +15,7 @@ from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.settings import TrackerSettings
 from hyperbit.controller.host.process import Log, Notify
 from hyperbit.controller.motion.tracking.tracking import tracking_of
-from hyperbit.controller.planning.core.events import Publish
+from hyperbit.controller.planning.core.events import Publish, Warned
 from hyperbit.controller.planning.core.premises import TipBiasEstimator
 from hyperbit.controller.planning.core.status import Status
 from hyperbit.controller.planning.core.stream import Stream
@@ -164,6 +164,13 @@ def test_warnings_come_after_faults_and_once(bench: StatusBench) -> None:
     bench.status.warnings = ()
     assert len(bench.state()["faults"]) == 1
     assert bench.diagnostics()["ledger"] == "ok"
+
+
+def test_warnings_of_the_process_reach_the_state(desk: Desk) -> None:
+    desk.post(Warned((UNWRITTEN,)))
+    assert UNWRITTEN.code in [fault["code"] for fault in desk.state()["faults"]]
+    desk.post(Warned(()))
+    assert UNWRITTEN.code not in [fault["code"] for fault in desk.state()["faults"]]
 
 
 def test_before_the_first_connection_the_arm_is_starting(bench: StatusBench) -> None:

@@ -36,6 +36,7 @@ class Progress:
         require(told["reached"] >= self._reached.get(ran, 0), f"{text}, before {self._reached.get(ran)} were reached")
         self._reached[ran] = told["reached"]
         require(told["begins"] <= told["ends"], f"{text}: it ends before it begins")
+        require(all(round(told[name], 1) == told[name] for name in ("begins", "ends")), f"{text}: more decimals")
         if not a.lately("clock", DELAY):
             self._foretell(ran, told["ends"] - a.wall())
 
