@@ -139,7 +139,8 @@ class Snapshots:
                 known |= arm.definite(reading.extended, reading.contracted)
             lost, self._restarted = self._restarted & arm.paired & ~known & ~a.locked, 0
             require(not lost & ~homing, f"the boards of {lost:b} have restarted, {homing:b} are to be homed")
-            a.unknown &= ~known
+            # A pulse that nobody reads back counts once the board was heard, up to a heartbeat later.
+            a.unknown = (a.unknown | homing & self._proofs.forgone & mask_of(arm.pulse)) & ~known
             a.knows_unknown = a.clear
         if not a.clear:
             a.unknown, a.knows_unknown = homing | a.locked & arm.paired, False

@@ -53,9 +53,9 @@ class Gateway:
         if a.now != self._instant:
             self._instant, self._pauses = a.now, 0
             self._arrived.clear()
-        if not well_formed(request, a.modules) and key in ("goal", "jog", "obstacles", "degrade"):
-            handled = self._arrived[key]
-            require(handled < 45 or self._pauses >= 2, f"{handled} malformed requests on {key} came without a pause")
+        if not well_formed(request, a.modules) and key in ("goal", "plan", "jog", "obstacles", "degrade"):
+            handled, paused = self._arrived[key], self._pauses >= 2 or key == "plan"
+            require(handled < 45 or paused, f"{handled} malformed requests on {key} came without a pause")
             self._arrived[key] += 1
             self._malformed.setdefault(key, deque(maxlen=400)).append(a.now)
         if key == "poses":

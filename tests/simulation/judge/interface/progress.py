@@ -19,6 +19,7 @@ class Progress:
         self._a = account
         self._foretold = WeakKeyDictionary[Ran, list[float]]()  # expected ends [s]
         self._reached = WeakKeyDictionary[Ran, int]()
+        self._least = WeakKeyDictionary[Ran, int]()  # by the feedback that was told before the last state
 
     def state(self, ran: Ran | None, payload: Payload) -> None:
         a, told = self._a, payload["progress"]
@@ -28,9 +29,8 @@ class Progress:
             return
         count = 1 if ran.jog else None if ran.request is None else len(ran.request.body["waypoints"])
         require(count in (None, told["waypoints"]), f"{text}; the goal has {count} waypoints")
-        surely = [ran.waypoint(mark) for mark, (_, awake) in ran.settled.items() if awake < a.awake - DELAY]
-        held = ran.jog or a.had("slow search", a.now - 10.0)  # reports wait for the deviations of the points
-        least = 0 if held else 1 + max(surely, default=-1)
+        least = self._least.get(ran, 0)
+        self._least[ran] = 0 if ran.jog else 1 + max((it["waypoint"] for it in ran.feedback), default=-1)
         most = 0 if ran.jog else 1 + max(map(ran.waypoint, ran.settled), default=-1)
         require(least <= told["reached"] <= most <= told["waypoints"], f"{text}; {least} to {most} are reached")
         require(told["reached"] >= self._reached.get(ran, 0), f"{text}, before {self._reached.get(ran)} were reached")
