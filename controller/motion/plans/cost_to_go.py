@@ -92,11 +92,8 @@ class CostToGo:
         self.neighbours = [Neighbours(self.chain, self.places, scene, rows) for scene in scenes]
         self.counts = self._lower = Counts(self.chain, len(self.chain.states))
         self.tips: UpperTips | None = None
-        self._shares, self._lists, self._most_serving = (
-            dict[int, Array](),
-            dict[int, Integers | None](),
-            most_labels >> 2,
-        )
+        self._shares, self._lists = dict[int, Array](), dict[int, Integers | None]()
+        self._most_serving = most_labels >> 2
         self._serving = np.array([expected(solver, point.target) for point in points])
         self.joins = by_bits(self.chain) & (self._serving < self._most_serving) & ~self.places.fixed
         self.half = Counts(self.chain, len(self.chain.states) // 2)
