@@ -48,7 +48,7 @@ class Verification:
         self._stays = [0] * count  # lines that were read wrong, and have had the same level since
         self._levels = [0] * count  # their levels
         self._missed = [0] * count  # successive pulses that were not read back, although the board answers
-        self._answers = [False] * count  # whether the board has answered since the last missed pulse
+        self._unanswered = [False] * count  # whether a pulse was missed, and the board has not answered since
         self._pause = [0.0] * count  # until the next read of outputs [s]
         self._next_read = [0.0] * count  # time of this read
         self._asked_at = [0.0] * count  # time of the last read
@@ -60,6 +60,7 @@ class Verification:
         """Records that a boot of all boards has begun."""
         count = len(self._boards)
         self._silent, self._wrong, self._stays = [0] * count, [0] * count, [0] * count
+        self._unanswered = [False] * count
 
     @property
     def unread(self) -> int:
@@ -72,17 +73,20 @@ class Verification:
         """Returns, since the last call, lines without end-stops whose pulse ended before it was read."""
         missed, self._outputs.missed = self._outputs.missed, 0
         for board in self._boards if missed else ():
-            i, lines = board.index, board.layout.output_lines & missed
-            if not lines:
-                continue
-            board.unverified += 1
-            self._missed[i] += self._answers[i]
-            self._answers[i] = False
-            if self._missed[i] == _MOST_MISSED and lines & self._fragile:
-                text = f"pulses of board {board.name} were over {_MOST_MISSED} times before they were read back"
-                advice = "give longer pulses or end-stops, or verify: false in boards.nodes"
-                self._fail(board, "not-verified", f"{text}: {advice}")
+            lines = board.layout.output_lines & missed
+            board.unverified += bool(lines)
+            self._unanswered[board.index] |= bool(lines & self._fragile)
         return missed & self._fragile
+
+    def _count_missed(self, board: Board) -> None:
+        """Counts a missed pulse when the board answers: one that was unplugged in the pulse will be lost."""
+        i = board.index
+        self._missed[i] += self._unanswered[i]
+        self._unanswered[i] = False
+        if self._missed[i] == _MOST_MISSED:
+            text = f"pulses of board {board.name} were over {_MOST_MISSED} times before they were read back"
+            advice = "give longer pulses or end-stops, or verify: false in boards.nodes"
+            self._fail(board, "not-verified", f"{text}: {advice}")
 
     def tick(self, now: float) -> None:
         """Starts the reads that are due; `now` stands still while the loop stalls [s]."""
@@ -146,7 +150,8 @@ class Verification:
             if not outcome.data:
                 self._unread(board, sub, outcome)
                 return
-            self._silent[board.index], self._answers[board.index] = 0, True
+            self._silent[board.index] = 0
+            self._count_missed(board)
             self._compare(board, sub, outcome.data[0])
 
     def _compare(self, board: Board, sub: int, found: int) -> None:

@@ -223,7 +223,7 @@ class Account:
     def believed(self) -> int:
         """The driven states; a guess of those that nobody can know, which the executor tells as outputs."""
         states = self.ground.states
-        unknown = self.homing | self.unknown & self.locked
+        unknown = self.unknown & (self.homing | self.locked)
         return states if self.shown is None else merged(unknown, unpack(self.shown.outputs), states)
 
     @property

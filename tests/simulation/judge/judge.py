@@ -219,6 +219,8 @@ class Judge:
             self.counts.switched(self._found & (self.account.believed ^ states))
             self.travels.switched(self._found)
             self.account.unknown &= ~came
+            if self._found:
+                self.account.mover = self.account.commit  # even if the valves have stayed
         self.pulses.energises(on, came, cause)
 
     def reads(self, extended: int, contracted: int) -> None:

@@ -139,8 +139,21 @@ def test_pulses_that_are_over_before_they_are_read_are_missed_and_the_third_is_a
         assert world.codes() == []
         assert world.master.drain_missed() == 0b01
         assert world.master.status().boards[0].unverified == k + 1
+    world.until(world.codes)
     assert world.codes() == ["not-verified"]
     assert "verify: false in boards.nodes" in world.faults[0].message
+
+
+def test_a_board_that_is_unplugged_in_its_third_short_pulse_is_lost_and_nobody_advises_longer_pulses():
+    world = pulsed(0.02, latency=0.03)
+    world.run(2.0)  # its outputs were read
+    for k in range(3):
+        world.boards.board("can0/5").silent = k == 2
+        pulse(world, 0.02)
+        world.run(0.01)
+        assert world.master.drain_missed() == 0b01
+        world.run(1.0)
+    assert world.codes() == ["board-lost"]
 
 
 def test_pulses_of_a_board_that_is_not_verified_are_not_missed():
