@@ -179,14 +179,16 @@ def _enter_pre_operational(boot: Boot) -> Procedure:
 
     Some boards apply 6207h as soon as they enter pre-operational. So an operational board gets hold in 6206h before. If
     1029h keeps the board operational in its error state, this write switches the pins to 6200h; so 6200h is settled
-    first.
+    first. The board leaves that error state with the command only, so a lost command is sent again.
     """
     board, it = boot.board, boot.it
     if board.state is State.PRE_OPERATIONAL:
         return
+    stays = not configuration.leaves_operational(it.values.get((0x1029, 1)))
+    unsure = board.state is State.OPERATIONAL and board.held is None and stays
     if board.state is State.OPERATIONAL and (unmet := it.unmet(configuration.hold_outputs(it.layout))):
         before = {(n.index, n.sub): it.values[n.index, n.sub] for n in unmet}
-        if unsure := board.held is None and not configuration.leaves_operational(it.values.get((0x1029, 1))):
+        if unsure:
             yield from _settle(boot)
         yield from _write_error_mode(it, {place: 0 for place in before}, unmet)
         board.state = None
@@ -195,6 +197,11 @@ def _enter_pre_operational(boot: Boot) -> Procedure:
             yield from _write_error_mode(it, before, unmet)
     boot.undo.left(board.state)
     yield from _order(board.layout, Command.PRE_OPERATIONAL)
+    if unsure:
+        board.state = None
+        yield from _learn_state(boot)
+        if board.state is State.OPERATIONAL:
+            yield from _order(board.layout, Command.PRE_OPERATIONAL)
 
 
 def _write_error_mode(it: Inspection, values: dict[tuple[int, int], int], needs: list[Need]) -> Procedure:

@@ -33,6 +33,14 @@ def test_another_program_may_stop_a_boot_that_found_a_board_operational_in_its_e
     require_unbroken([(trial.name, run(trial)) for trial in found])
 
 
+def test_the_command_that_ends_an_error_state_may_be_lost():
+    found = [
+        trial for trial in trials(MIXED[7], 1, "frame lost", HISTORIES[-1:]) if trial.failure.text.startswith("000h")
+    ]
+    assert found
+    require_unbroken([(trial.name, run(trial)) for trial in found])
+
+
 def require_unbroken(verdicts: list[tuple[str, Verdict]]) -> None:
     broken = [f"{name}: {sentence}" for name, verdict in verdicts for sentence in verdict.broken]
     assert not broken, "\n".join(broken[:10])

@@ -33,7 +33,7 @@ KINDS = {
 
 DAEMON_KINDS = {
     **{"planner is restarted": 2.0, "both are killed": 1.0, "planner is slow": 0.8, "planner dies": 3.0},
-    **{"executor dies in motion": 2.0, "planner dies in motion": 2.0},
+    **{"executor dies in motion": 5.0, "planner dies in motion": 2.0},
     **{
         "searches are late": 1.0,
         "searches fail": 0.8,
@@ -184,6 +184,7 @@ class Trouble:
             case "planner is restarted":
                 daemon.end_in_order()
             case "executor dies in motion":
+                daemon.clients.move()
                 self._in_motion(self._world.executor.kill)
             case "planner dies in motion":
                 self._in_motion(daemon.die)

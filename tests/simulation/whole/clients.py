@@ -167,6 +167,11 @@ class Clients:
             self._client = self._random.randrange(CLIENTS)
             self._do(act)
 
+    def move(self) -> None:
+        """Sends a goal, or rarely a jog."""
+        self._client = self._random.randrange(CLIENTS)
+        self._do(self._random.choice(["goal", "goal", "goal", "jog"]))
+
     def hurry(self) -> float:
         """Sends a burst, perhaps; returns a time after which some of it has arrived [s]."""
         if self.calm or self._random.random() < 0.5:
