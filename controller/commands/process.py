@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -14,16 +13,18 @@ from hyperbit.controller.commands.connection import LOG, zenoh_config
 if TYPE_CHECKING:
     import zenoh
 
+    from hyperbit.controller.host.signals import Ending
+
 RETRY = 1.0  # [s] between two attempts to reach others
 log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 
-def ending_event() -> threading.Event:
-    """Returns an event that each signal that ends the process sets."""
-    from hyperbit.controller.host.signals import end_on_signals
+def ending_event() -> Ending:
+    """Returns what each signal that ends the process sets."""
+    from hyperbit.controller.host.signals import Ending, end_on_signals
 
-    ending = threading.Event()
+    ending = Ending()
     end_on_signals(ending.set)
     return ending
 

@@ -5,6 +5,8 @@ SIGHUP stays ignored if it was ignored at the start, as `nohup` does.
 
 from __future__ import annotations
 
+import os
+import select
 import signal
 import sys
 from collections.abc import Callable, Iterable
@@ -16,6 +18,31 @@ if TYPE_CHECKING:
 ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 AGAIN = 0.05  # [s] after which SystemExit is raised again
 OF_TERMINAL = (signal.SIGINT, signal.SIGHUP)  # a terminal sends them to all its processes
+
+
+class Ending:
+    """Whether the process is to end.
+
+    The handler of a signal may call `set` at any moment. `threading.Event.set` would wait for a lock there, which the
+    interrupted `wait` may hold: the process would never end.
+    """
+
+    def __init__(self) -> None:
+        self._woken = os.eventfd(0, os.EFD_NONBLOCK)
+        self._set = False
+
+    def set(self) -> None:
+        self._set = True
+        os.eventfd_write(self._woken, 1)
+
+    def is_set(self) -> bool:
+        return self._set
+
+    def wait(self, seconds: float | None = None) -> bool:
+        """Waits for the end, at most `seconds`; returns whether it has come."""
+        if not self._set:
+            select.select([self._woken], [], [], seconds)
+        return self._set
 
 
 def end_on_signals(end: Callable[[], object]) -> None:

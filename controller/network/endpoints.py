@@ -8,9 +8,10 @@ import logging
 import os
 import re
 import socket
-import threading
 from pathlib import Path
 from typing import NamedTuple
+
+from hyperbit.controller.host.signals import Ending
 
 log = logging.getLogger(__name__)
 
@@ -64,7 +65,7 @@ def accepts(address: tuple[str, int]) -> bool:
     return False
 
 
-def wait_for_router(endpoint: str, ending: threading.Event) -> None:
+def wait_for_router(endpoint: str, ending: Ending) -> None:
     """Waits until a router accepts connections, or until the process must end. The arm holds meanwhile."""
     if (address := parse_endpoint(endpoint).address) is None or accepts(address):
         return

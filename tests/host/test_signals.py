@@ -1,14 +1,18 @@
 """The signals that end a process in order, on processes of their own."""
 
+import itertools
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import pytest
 
-from hyperbit.controller.host.signals import ENDING, OF_TERMINAL
+from hyperbit.controller.host.signals import ENDING, OF_TERMINAL, Ending
 from tests.waiting import PATIENCE
 
 ROOT = Path(__file__).parents[2]
@@ -137,3 +141,26 @@ def test_a_signal_within_a_callback_of_c_ends_the_process(start: Start) -> None:
     process.stdin.write("\n")  # type: ignore[union-attr]
     process.stdin.flush()  # type: ignore[union-attr]
     assert process.wait(PATIENCE) == 128 + signal.SIGTERM
+
+
+def test_a_signal_may_come_at_any_line_of_a_wait_for_the_end():
+    """A handler runs between two lines of `wait`, or of what `wait` calls."""
+    for at in itertools.count():
+        ending, lines = Ending(), itertools.count()
+
+        def trace(frame: FrameType, event: str, _: object, ending=ending, lines=lines, at=at) -> Any:
+            if event == "line" and next(lines) == at:
+                ending.set()
+            return trace
+
+        def wait(trace=trace, ending=ending) -> None:
+            sys.settrace(trace)
+            ending.wait(0.01)
+
+        waiting = threading.Thread(target=wait, daemon=True)
+        waiting.start()
+        waiting.join(PATIENCE)
+        assert not waiting.is_alive(), f"a signal at line {at} of the wait holds it for ever"
+        if not ending.is_set():
+            break
+    assert at > 2

@@ -135,6 +135,13 @@ def _learn_state(boot: Boot) -> Procedure:
         yield Wait(lambda: board.state is not None, min(2 * period, timing.boot_timeout))
 
 
+def _told_state(boot: Boot) -> Generator[Step, SdoOutcome, State | None]:
+    """Returns the NMT state that the board tells from now on; None: it tells none."""
+    boot.board.state = None
+    yield from _learn_state(boot)
+    return boot.board.state
+
+
 def _configure(boot: Boot) -> Procedure:
     """Configures and starts the board, unless it is operational with the right configuration."""
     board, it = boot.board, boot.it
@@ -191,17 +198,13 @@ def _enter_pre_operational(boot: Boot) -> Procedure:
         if unsure:
             yield from _settle(boot)
         yield from _write_error_mode(it, {place: 0 for place in before}, unmet)
-        board.state = None
-        yield from _learn_state(boot)
-        if not unsure and board.state is not State.OPERATIONAL:  # the board may have left operational before the write
+        state = yield from _told_state(boot)
+        if not unsure and state is not State.OPERATIONAL:  # the board may have left operational before the write
             yield from _write_error_mode(it, before, unmet)
     boot.undo.left(board.state)
     yield from _order(board.layout, Command.PRE_OPERATIONAL)
-    if unsure:
-        board.state = None
-        yield from _learn_state(boot)
-        if board.state is State.OPERATIONAL:
-            yield from _order(board.layout, Command.PRE_OPERATIONAL)
+    if unsure and (yield from _told_state(boot)) is State.OPERATIONAL:
+        yield from _order(board.layout, Command.PRE_OPERATIONAL)
 
 
 def _write_error_mode(it: Inspection, values: dict[tuple[int, int], int], needs: list[Need]) -> Procedure:
