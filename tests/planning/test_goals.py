@@ -251,6 +251,20 @@ def test_a_tip_off_its_path_ends_the_goal(desk: Desk) -> None:
     assert "left its path" in desk.state()["reason"]
 
 
+def test_a_tip_within_its_path_tolerance_lets_the_goal_go_on(desk: Desk) -> None:
+    waypoints = [{"t": 2.0 * k, "position": p} for k, p in enumerate((desk.tip(0, 0, 0, 0), desk.tip(0, 0, 0, 7)))]
+    desk.ask("goal", {"id": "p", "waypoints": waypoints, "path_tolerance": 0.15, "tolerance": {"position": 0.05}})
+    program = desk.executor.expect(Program)
+    desk.executor.accept(program)
+    assert desk.inbox.next("reply")["accepted"]
+    desk.executor.run(program, 0)
+    assert desk.inbox.next("feedback")["waypoint"] == 0
+    desk.executor.run(program, 1)
+    assert desk.inbox.next("feedback")["waypoint"] == 1
+    desk.executor.end(program)
+    assert desk.inbox.next("result")["status"] == "succeeded"
+
+
 def test_a_goal_of_a_configuration_is_reached_by_that_one_only(desk: Desk) -> None:
     for name, status in (("1200", "succeeded"), ("1201", "aborted")):
         desk.ask("goal", {"id": name, "waypoints": [{"configuration": "1200"}]})

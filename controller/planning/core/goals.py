@@ -243,7 +243,6 @@ class Goals:
     def _drop(self, goal: Goal) -> None:
         """Removes a request that is answered, or will be answered elsewhere."""
         self._jobs.abandon(goal.job)
-        goal.job = None
         if goal is self._current:
             self._current = None
             self._preparation.begin(goal.wanted)

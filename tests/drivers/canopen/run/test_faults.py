@@ -74,6 +74,18 @@ def test_a_master_that_was_halted_knows_no_states_until_boot():
     assert world.switches() == [1, 0]
 
 
+def test_a_pause_that_ends_before_the_boards_lose_their_master_is_no_halt():
+    world = World().up()
+    period, timeout = world.timing.heartbeat, world.timing.heartbeat_timeout
+    world.buses["can0"].log.clear()
+    world.until(lambda: any(frame.id == 0x77F for frame in world.buses["can0"].log))
+    beat = world.now
+    world.stalled = True
+    world.run(beat + timeout - 0.03 - world.now)
+    assert timeout - period < world.now - beat < timeout
+    assert world.master.find_pause(world.now) is None
+
+
 def test_a_heartbeat_that_was_not_sent_shortens_no_halt():
     world = World().up()
     period, timeout = world.timing.heartbeat, world.timing.heartbeat_timeout

@@ -50,6 +50,17 @@ def test_a_board_that_does_not_follow_stays_unread_until_it_is_a_fault():
     assert world.measured() == [0, 1]
 
 
+def test_a_board_that_follows_each_switch_late_is_no_fault():
+    world = World(BLIND).up()
+    world.boards.board("can0/5")._pdos.receive = lambda cob_id, data, now: True
+    for states in ((1, 1), (0, 1), (1, 1)):
+        world.commit(*states)
+        world.run(0.25)  # five wrong reads; the eighth in a row is a fault
+        sdo(world, 0x6200, 1, states[0], 1)
+        world.until(lambda: not world.master.unread)
+    assert world.codes() == []
+
+
 @pytest.mark.parametrize("end_stop", [None, 0])
 def test_a_board_that_stops_switching_later_is_noticed_within_two_seconds(end_stop):
     world = World([Channel("5.left", "can0", 5, 0, end_stop)]).up()
