@@ -85,3 +85,20 @@ def test_a_board_that_was_stopped_in_its_boot_gets_its_objects_back(answers):
     assert "1029h" in sentence
     assert values(world) == before
     assert world.boards.board("can0/5").state is State.PRE_OPERATIONAL
+
+
+def test_a_board_that_was_stopped_after_its_start_is_started_again():
+    world = World(one_board())
+    board, stopped = world.boards.board("can0/5"), []
+
+    def watch() -> None:
+        if board.state is State.OPERATIONAL:
+            stopped.append(world.now)
+            world.say(0, bytes([Command.STOP, 5]))
+        else:
+            world.after(0.001, watch)
+
+    watch()
+    assert boot(world) == []
+    assert stopped
+    assert board.state is State.OPERATIONAL

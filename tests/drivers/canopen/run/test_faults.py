@@ -286,8 +286,10 @@ def test_status_counts_frames_and_load():
     for _ in range(1000):
         world.say(0x300, bytes(8))
     world.run(1.1)
+    frames = world.master.status().buses[0].rx_frames
     world.master.receive_event(FrameIgnored("can0", 100), world.now)
     after = world.master.status().buses[0]
+    assert after.rx_frames == frames + 1
     assert after.ignored == before.ignored + 1001
     assert after.rx_frames >= before.rx_frames + 1001
     assert 0.1 <= after.load < 0.2  # 1,000 frames of 135 bits in a second of 1 Mbit/s
