@@ -51,6 +51,15 @@ def test_while_the_tables_are_rebuilt_goals_wait(desk: Desk) -> None:
     assert desk.inbox.next("reply")["accepted"]
 
 
+@pytest.mark.parametrize("passing", [{"moving": True}, {"known": b"\xfe\x0f"}])
+def test_tables_are_rebuilt_once_the_locked_actuators_rest_in_known_states(desk: Desk, passing: dict[str, Any]) -> None:
+    words = "locked: 1.left (contracted)"
+    desk.show(locked=b"\x01\x00", locks=1, **passing)
+    assert not [text for text in desk.logs if "locked" in text]
+    desk.show(moving=False, known=b"\xff\x0f")
+    assert [text for text in desk.logs if words in text]
+
+
 def test_goals_do_not_wait_for_tables_for_ever(desk: Desk) -> None:
     desk.held.add(BuildTables)
     desk.show(locked=b"\x01\x00", locks=1)

@@ -241,8 +241,8 @@ class InputWatch:
     rate.
     """
 
-    def __init__(self, boards: Iterable[Board], links: Iterable[Link], interlocks: int) -> None:
-        self._boards = [board for board in boards if board.layout.inputs]
+    def __init__(self, boards: Sequence[Board], links: Iterable[Link], interlocks: int) -> None:
+        self._boards = boards
         self._periods: dict[int, float] = {}
         for link in links:
             here = [b for b in self._boards if b.link is link]
