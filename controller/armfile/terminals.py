@@ -113,7 +113,10 @@ def check_terminals(settings: ArmSettings, faults: list[str]) -> None:
 
 def no_bus(name: str, buses: Sequence[str]) -> str:
     """Returns the fault of an unknown bus, without its field."""
-    return f"{name!r} is none of the buses {', '.join(buses) or '(none)'}"
+    if not buses:
+        needed = f"buses: [{{name: {name}, interface: socketcan, channel: {name}, bitrate: 500000}}]"
+        return f"{name!r}, but the file lists no buses; needed is, for example, {needed}"
+    return f"{name!r} is none of the buses {', '.join(buses)}"
 
 
 def _check_board(path: str, text: str, buses: Sequence[str], faults: list[str]) -> None:

@@ -162,7 +162,9 @@ def test_buses_without_actuators_leave_all_unmapped(read):
 
 
 def test_actuators_without_buses(read):
-    expected = [f"actuators[{k + 1}].bus: 'can0' is none of the buses (none)" for k in range(6)]
+    example = "buses: [{name: can0, interface: socketcan, channel: can0, bitrate: 500000}]"
+    words = f"'can0', but the file lists no buses; needed is, for example, {example}"
+    expected = [f"actuators[{k + 1}].bus: {words}" for k in range(6)]
     assert faults(read, changed("buses", [])) == expected
 
 
