@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import CancelledError
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from hyperbit.controller.studies.shares import Job, StudyFailed, alone, compute, pack
@@ -23,7 +24,7 @@ SCHEDULER_TIMEOUT = 60.0  # [s] for the scheduler to answer
 def results(job: Job, shares: Iterable[Any], client: Client | None = None) -> Generator[list[Any], None, None]:
     """Yields the results of each share, in order. Shares are read as they are needed.
 
-    A share of a lost worker is computed again by another one.
+    A share of a lost worker is computed again by another one. A share that the scheduler does not know is sent again.
 
     Args:
         job: what the shares have in common.
@@ -37,26 +38,27 @@ def results(job: Job, shares: Iterable[Any], client: Client | None = None) -> Ge
     if client is None:
         yield from ([result] for result in alone(job, shares))
         return
-    packed, waiting = pack(job), deque["Future"]()
+    send = partial(client.submit, compute, pack(job), pure=False)
+    waiting = deque[tuple[Any, "Future"]]()
     most, counted = 0, -math.inf
     try:
         for share in shares:
-            waiting.append(client.submit(compute, packed, share, pure=False))
+            waiting.append((share, send(share)))
             if time.monotonic() > counted + COUNT_AGAIN:
                 most, counted = AHEAD * max(1, sum(client.nthreads().values())), time.monotonic()
             while len(waiting) >= most:
-                yield result_of(waiting[0], client)
+                yield result_of(*waiting[0], send, client)
                 waiting.popleft()
         while waiting:
-            yield result_of(waiting[0], client)
+            yield result_of(*waiting[0], send, client)
             waiting.popleft()
     finally:
         if waiting and client.status == "running":
-            client.cancel(list(waiting), force=True)
+            client.cancel([future for _, future in waiting], force=True)
 
 
-def result_of(future: Future, client: Client) -> list[Any]:
-    """Waits for the result of a share.
+def result_of(share: Any, future: Future, send: Callable[[Any], Future], client: Client) -> list[Any]:
+    """Waits for the result of a share; `send` sends the share again.
 
     Raises:
         StudyFailed: the share ends its workers, or no worker or no scheduler is left.
@@ -77,18 +79,14 @@ def result_of(future: Future, client: Client) -> list[Any]:
         except TimeoutError:
             if client.status != "running":
                 raise StudyFailed("the connection to the Dask scheduler is lost") from None
-            if not threads_of(client):
+            if not _ask(client, client.scheduler.ncores):
                 raise StudyFailed("the Dask cluster has no workers any more") from None
+            if _ask(client, client.scheduler.get_task_status, keys=[future.key])[future.key] is None:
+                future = send(share)  # a connection that was lost for a moment has lost the share
 
 
-def threads_of(client: Client) -> dict[str, int]:
-    """Returns the number of threads of each worker.
-
-    Raises:
-        StudyFailed: the scheduler does not answer in time.
-    """
+def _ask(client: Client, question: Callable[..., Any], **arguments: Any) -> Any:
     try:
-        found: dict[str, int] = client.sync(client.scheduler.ncores, callback_timeout=SCHEDULER_TIMEOUT)
+        return client.sync(question, callback_timeout=SCHEDULER_TIMEOUT, **arguments)
     except (TimeoutError, OSError):
         raise StudyFailed(f"the Dask scheduler has not answered within {SCHEDULER_TIMEOUT:g} s") from None
-    return found
