@@ -86,3 +86,20 @@ def test_an_orientation_in_space_is_typed(page: Page, world: World) -> None:
     eventually(lambda: "no number" not in shown.text("#goal .why"))
     read = "return [...document.querySelectorAll('#goal .fields input')].slice(4, 7).map((it) => it.value)"
     assert shown.run(read) == ["10", "20", "-30"]
+
+
+def test_the_refusal_of_a_goal_is_gone_while_the_next_one_is_planned(trouble: Trouble, driver: object) -> None:
+    daemon = trouble.daemon
+    shown, answer = opened(trouble, driver, reason="refused"), daemon.answer
+    daemon.answer = {"accepted": False, "code": -2, "message": "(0.5, 9) is out of reach"}
+    shown.one(FIELD.format(1)).click()
+    keys(shown, "0.5", Keys.TAB, "9")
+    shown.says("#goal .plan", "(0.5, 9) is out of reach")
+    daemon.gate.clear()
+    daemon.answer = answer
+    enter(shown, 2)
+    keys(shown, "2")
+    shown.says("#goal .why", "Planning from the present state")
+    assert shown.text("#goal .plan") == ""
+    daemon.gate.set()
+    eventually(lambda: enabled(shown))

@@ -152,7 +152,8 @@ function planCard() {
   const stages = el("details", { hidden: true }, summary, list);
   const words = el("div", { class: "plan" }, text, stages);
   const showPlan = (editor) => {
-    const plan = editor.goal === null ? editor.plan : editor.validPlan;
+    // A plan of the goal just before stays until the next one comes. Its refusal does not: it would look like that of this goal.
+    const plan = editor.goal === null || editor.validPlan?.accepted || editor.upToDate ? editor.plan : null;
     stages.hidden = !plan?.accepted;
     if (plan?.accepted) {
       const waypoints = plan.waypoints.filter((waypoint) => !waypoint.between);
