@@ -184,9 +184,8 @@ class Actuation:
             self.busy_since = None
         else:
             self._record_refused(why, now)
-        reached = self.states == states and not self._doubtful
         self._doubtful = 0
-        return states if reached else None
+        return states if self.states == states else None
 
     def adopt(self, measured: int, definite: int, now: float) -> None:
         """Adopts the outputs that the boards read back, and counts the switches of an interrupted commit.

@@ -107,7 +107,7 @@ class MotionSupervision:
         ends, known = self._ends, self._boards.known
         readable = known & self._commanded_known
         late = self._late(ends) & readable
-        both = ends.extended & ends.contracted & known
+        both = ends.extended & ends.contracted
         if ends != self._last:  # the missed commands of actuators whose end-stops have changed are forgotten
             for k in indices((ends.extended ^ self._last.extended) | (ends.contracted ^ self._last.contracted)):
                 self._missed[k] = 0

@@ -3,7 +3,7 @@
 from typing import Any
 
 from hyperbit.controller.executor.core.modes import RETRY
-from hyperbit.controller.program import TICK, Declined, Ended, Lock, Replaced, Replacement, Settled, unpack
+from hyperbit.controller.program import TICK, Cancel, Declined, Ended, Lock, Replaced, Replacement, Settled, unpack
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 
 A = 0b000111
@@ -35,6 +35,12 @@ def test_a_lock_is_refused_while_the_arm_moves_and_against_an_end_stop(rig: Rig)
     rig.run(A)
     rig.send(Lock(2, 0, 0))
     assert "the arm is executing" in rig.answer[1]
+    rig.send(Cancel(3, None, ""))
+    rig.send(Lock(4, 0, 0))
+    assert (rig.mode, rig.answer[0]) == ("ready", False), "it still moves"
+    rig.go(0.2)
+    rig.send(Lock(5, 3, 0))
+    assert rig.answer[0]
 
 
 def test_a_stuck_actuator_is_locked_and_the_arm_goes_on_if_its_file_says_so() -> None:

@@ -10,7 +10,7 @@ from hyperbit.controller.executor.motion.actuation import BUSY_FOR
 from hyperbit.controller.host.process import Quit
 from hyperbit.controller.program import TICK, Cancel, Declined, Ended, Reset, Stop
 from hyperbit.drivers.canopen.faults import ArmFault
-from tests.executor.rig import CAN, LOST, PLANNER, TRAVEL, Rig
+from tests.executor.rig import CAN, LOST, PLANNER, TRAVEL, Rig, ready
 
 A, B = 0b000111, 0b011100
 
@@ -115,6 +115,19 @@ def test_faults_that_clear_by_themselves_are_left_without_a_reset(rig: Rig, code
     rig.master.back = True
     rig.go(RETRY + 3 * TICK)
     assert (rig.mode, rig.snapshot.faults, rig.switched) == ("ready", (), [A])
+
+
+def test_a_moving_arm_is_not_booted_without_a_reset() -> None:
+    rig = ready(channel={"travel": (3 * RETRY, 3 * RETRY)}, sensed=0)
+    rig.go(3 * RETRY)
+    rig.run(A)
+    rig.go()
+    boots, rig.master.back = rig.master.booted, True
+    rig.master.fail(LOST)
+    rig.go(2 * RETRY)
+    assert (rig.mode, rig.master.booted) == ("fault", boots)
+    rig.go(3 * RETRY)
+    assert rig.mode == "ready"
 
 
 def test_one_that_fails_again_is_tried_once_a_second(rig: Rig) -> None:

@@ -56,6 +56,26 @@ def test_a_goal_homes_actuators_of_unknown_state_to_its_start() -> None:
     assert not rig.snapshot.faults
 
 
+def test_no_stage_is_skipped_because_homing_took_time() -> None:
+    rig = ready(channel=BISTABLE, sensed=0)
+    rig.run(1, 3, 1, step=0.04)
+    rig.go(1.0)
+    assert rig.switched == [lines(0, ALL), lines(1, 0), lines(3, 0), lines(0, 2)]
+
+
+def test_an_actuator_found_with_both_outputs_on_is_in_an_unknown_state() -> None:
+    rig = ready(channel=BISTABLE, sensed=0)
+    rig.run(1)
+    rig.go(0.5)
+    assert unpack(rig.snapshot.homing) == 0
+    rig.master.fail(LOST)
+    rig.go()
+    rig.master.outputs = lines(2, 2)  # another program was there
+    rig.send(Reset(1, rig.epoch))
+    rig.go(0.5)
+    assert (rig.mode, unpack(rig.snapshot.homing), rig.master.outputs) == ("ready", 2, 0)
+
+
 def test_a_jog_brings_only_its_own_actuator_to_a_known_state() -> None:
     rig = ready(channel=BISTABLE, sensed=0)
     rig.run(0b000000, homed=0b000100)

@@ -52,6 +52,17 @@ def test_the_answer_waits_for_a_sync_that_was_handed_out(rig: Rig, request_: Sto
     assert (answers(rig), rig.last(Ended).switches, sum(rig.journal.counts)) == ([answer], 3, 3)
 
 
+def test_pulses_that_home_count_as_switches_under_way() -> None:
+    rig = ready(channel={"output_off": True, "pulse": 0.05}, sensed=0)
+    rig.master.slow_sync = True
+    rig.run(0b000001)
+    rig.send(Stop(1))
+    assert answers(rig) == []
+    rig.master.leave(rig.now)
+    rig.do(CAN)
+    assert answers(rig) == ["stopped; 6 switches were under way; the arm holds until reset"]
+
+
 def test_a_bus_that_stands_still_does_not_delay_the_answer_for_ever(rig: Rig) -> None:
     rig.master.slow_sync = True
     rig.run(A)

@@ -132,6 +132,23 @@ def test_an_answer_does_not_count_for_the_next_program(rig: Rig) -> None:
     assert rig.switched == [A, A], "from the outputs, as it was planned"
 
 
+def stray(rig: Rig) -> None:
+    """Declares an actuator extended whose output is off: it is where no plan knows."""
+    rig.core._locked.change(0, 1)
+    rig.core._locked.states = 0
+    rig.master.inputs = 0b000010
+    rig.core.motion.supervision.accept(0b000010, 0b111111)
+
+
+def test_a_refusal_does_not_count_for_the_next_program(rig: Rig) -> None:
+    stray(rig)
+    for _ in range(2):
+        rig.run(0b001000, strict=True)
+        rig.send(Clearance(rig.last(Question).question, "the post"))
+        rig.go()
+    assert (rig.results, len(rig.of(Question))) == ([(1, "aborted"), (2, "aborted")], 2)
+
+
 def test_a_set_point_is_followed_stage_by_stage(rig: Rig) -> None:
     rig.follow(1, A)
     assert (rig.switched, rig.mode, rig.reason) == ([A], "executing", "following a setpoint")
@@ -159,6 +176,13 @@ def test_an_old_set_point_moves_nothing(rig: Rig, fields: dict) -> None:
     assert rig.switched == []
 
 
+def test_a_set_point_that_comes_too_late_ends_no_program(rig: Rig) -> None:
+    rig.run(A, B)
+    rig.follow(2, 0, lasting=-1.0)
+    rig.go(0.5)
+    assert (rig.results, rig.switched) == ([(1, "done")], [A, B])
+
+
 def test_a_set_point_replaces_a_program_and_a_program_a_stream(rig: Rig) -> None:
     rig.run(A, B)
     rig.go(0.1)
@@ -173,13 +197,11 @@ def test_a_set_point_replaces_a_program_and_a_program_a_stream(rig: Rig) -> None
 
 
 def test_while_a_set_point_waits_for_clearance_the_next_one_only_prolongs_it(rig: Rig) -> None:
-    rig.core._locked.change(0, 1)  # declared extended, with its output off: no plan knows
-    rig.core._locked.states = 0
-    rig.master.inputs = 0b000010
-    rig.core.motion.supervision.accept(0b000010, 0b111111)
+    stray(rig)
     rig.follow(1, 0b001000, strict=True)
     (question,) = rig.of(Question)
     assert question.start == pack(0b000010, SIZE)
-    rig.follow(1, 0b110000, strict=True)
+    rig.follow(1, 0b110000, strict=True, lasting=2.0)
+    rig.go(0.5)
     rig.send(Clearance(question.question, None))
     assert rig.switched == [0b001000]

@@ -85,6 +85,19 @@ def test_an_actuator_toggled_as_fast_that_arrives_is_not_stuck(rig: Rig) -> None
     assert rig.mode != "fault"
 
 
+def test_missed_commands_are_forgotten_when_the_end_stop_changes(rig: Rig) -> None:
+    for _ in range(3):
+        rig.master.stuck = 1
+        for _ in range(4):  # two are missed: the others are for the state in which it is stuck
+            rig.run(rig.master.outputs ^ 1, step=1)
+            rig.go(TRAVEL + TICK)
+        rig.master.stuck = 0
+        for _ in range(2):
+            rig.run(rig.master.outputs ^ 1, step=1)
+            rig.go(TRAVEL + TICK)
+    assert rig.mode != "fault"
+
+
 def test_one_that_moves_by_itself_is_a_fault(rig: Rig) -> None:
     rig.master.inputs |= 0b000010
     rig.go()
