@@ -95,11 +95,43 @@ LEAVE = (0, bytes([Command.PRE_OPERATIONAL, 5]))
         ),
         ([LEAVE, (0x605, bytes.fromhex("2f00620101000000"))], {}),  # another program has written
         ([LEAVE], {"variants": {"can0/5": VARIANTS["off-in-preoperational"]}, "error_state": "off"}),
+        ([LEAVE, (0x085, bytes.fromhex("1081110000000000"))], {}),  # it has lost its master meanwhile
+        ([LEAVE, (0x705, bytes([State.STOPPED]))], {}),
     ],
 )
 def test_what_may_have_gone_off_or_was_written_meanwhile_is_written_off(frames, options):
     world = held(*frames, **options)
     assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
+
+
+def test_the_outputs_of_a_board_that_was_lost_meanwhile_are_written_off():
+    world = World(one_board(), variants=BOARD, on_loss="contract").up()
+    world.commit(1, 1, then=0.3)
+    world.say(*LEAVE)
+    world.run(0.2)
+    world.lost = lambda bus, frame: frame.id == 0x705
+    world.run(1.0)
+    world.lost = lambda bus, frame: False
+    world.run(0.5)
+    assert boot(world) == []
+    assert outputs(world) == 0
+
+
+def test_outputs_that_a_failed_boot_has_written_off_are_told_by_the_next_one():
+    world = extended(on_loss="contract")
+    written = False
+
+    def silent_afterwards(bus: str, frame: Frame) -> bool:
+        nonlocal written
+        written |= frame.data[:4] == bytes.fromhex("60006201")
+        return written and frame.id == 0x705
+
+    world.lost = silent_afterwards
+    assert "did not become operational" in boot(world)[0]
+    assert outputs(world) == 0
+    world.lost = lambda bus, frame: False
+    assert boot(world) == []
+    assert [fault.code for fault in world.master.warnings()] == ["outputs-off"]
 
 
 def test_a_master_that_stood_still_meanwhile_writes_off():

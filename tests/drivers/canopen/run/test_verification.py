@@ -140,6 +140,25 @@ def test_a_pulse_that_was_read_back_is_not_missed():
     assert world.master.drain_missed() == 0
 
 
+def test_a_pulse_that_a_board_follows_late_is_no_fault():
+    world = pulsed(0.05)
+    world.boards.board("can0/5")._pdos.receive = lambda cob_id, data, now: True
+    world.master.commit(1, world.now)
+    world.frames()
+    world.until(lambda: (0x585, "4f 00 62 01 00 00 00 00") in world.frames(sdo=True))
+    sdo(world, 0x6200, 1, 1, 1)
+    world.until(lambda: not world.master.unread)
+    assert world.codes() == []
+
+
+def test_a_coil_that_another_program_has_switched_on_leaves_the_state_unknown():
+    world = pulsed(0.05)
+    world.run(1.0)
+    sdo(world, 0x6200, 1, 0x02, 1)
+    world.until(lambda: world.master.doubtful)
+    assert world.master.drain_missed() == 0b10
+
+
 def test_pulses_that_are_over_before_they_are_read_are_missed_and_the_third_is_a_fault():
     world = pulsed(0.02, latency=0.03)
     for k in range(3):
