@@ -176,7 +176,7 @@ def _make_it_tell(boot: Boot) -> Procedure:
 def _settle(boot: Boot) -> Procedure:
     """Writes the outputs so that START changes no pin."""
     board, outputs = boot.board, boot.outputs
-    held = outputs.bits(boot.index) if board.held and not outputs.doubtful & board.layout.output_lines else None
+    held = outputs.bits(boot.index) if board.held else None
     board.released |= yield from settle(boot.it, boot.error_state, boot.stopped, held)
     boot.undo.pins_known = True
 
