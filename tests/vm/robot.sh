@@ -44,7 +44,10 @@ chown 61999:61999 "$memory/files/var/lib/private/hyperbit"
 mkdir -p -m 700 "$memory/files/var/cache/private"
 export NUMBA_CPU_NAME=generic NUMBA_CACHE_DIR="$memory/files/var/cache/private/hyperbit/numba"
 rm -rf "$project/build/lib" # an earlier build must not be installed
-PATH=/usr/sbin:/usr/bin:/sbin:/bin SYSTEMD_OFFLINE=1 "$project/deploy/install.sh"
+arm=$memory/arm.yaml # with two buses
+sed 's/^  - {name: can0, .*/  - {name: can0, channel: can0, bitrate: 500000}\n  - {name: can1, channel: can1, bitrate: 250000}/' \
+  "$project/deploy/planar16.yaml" > "$arm"
+PATH=/usr/sbin:/usr/bin:/sbin:/bin SYSTEMD_OFFLINE=1 "$project/deploy/install.sh" "$arm"
 /opt/hyperbit/bin/python -P -m hyperbit.controller.host.kernels
 
 # Six times the units' own times, as the tests' times.

@@ -104,6 +104,12 @@ def state_of(service: str) -> list[str]:
     return [shown(service, name) for name in ("ActiveState", "Result", "ExecMainStatus")]
 
 
+def test_each_bus_of_the_installed_arm_has_a_network_file_with_its_bit_rate() -> None:
+    for channel, rate in (("can0", 500_000), ("can1", 250_000)):
+        lines = Path(f"/etc/systemd/network/80-{channel}.network").read_text().splitlines()
+        assert {f"Name={channel}", f"BitRate={rate}"} <= set(lines)
+
+
 def test_units_are_confined() -> None:
     assert robot.exposure(EXECUTOR) <= 1.2
     assert robot.exposure(PLANNER) <= 1.6
