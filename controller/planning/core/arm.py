@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
 States = NDArray[np.uint8]
 Measured = NDArray[np.int8]  # actuator states, -1 unknown
 
+# The fields of a snapshot from which the arrays of an `ArmState` follow.
+_of_actuators = attrgetter("outputs", "measured", "known", "sensed", "locked", "homing", "unread", "moving")
+
 
 def measured_states(measured: bytes, known: bytes, actuators: int) -> Measured:
     """Unpacks measured states to shape (A,); -1 where they are unknown."""
@@ -39,6 +43,13 @@ class ArmState:
     def __init__(self, manipulator: Manipulator, snapshot: Snapshot) -> None:
         self.manipulator, self.snapshot = manipulator, snapshot
 
+    def at(self, snapshot: Snapshot) -> ArmState:
+        """Returns the arm at a later snapshot, with the arrays of this one if no actuator has changed."""
+        later = ArmState(self.manipulator, snapshot)
+        if _of_actuators(snapshot) == _of_actuators(self.snapshot):
+            vars(later).update(vars(self) | {"snapshot": snapshot})
+        return later
+
     @cached_property
     def outputs(self) -> States:
         return self.unpacked(self.snapshot.outputs)
@@ -54,6 +65,11 @@ class ArmState:
     @cached_property
     def locked(self) -> NDArray[np.bool_]:
         return self.unpacked(self.snapshot.locked).astype(np.bool_)
+
+    @cached_property
+    def locked_states(self) -> bytes:
+        """The measured states of locked actuators, one int8 each; -1 where an actuator is not locked."""
+        return np.where(self.locked, self.measured, -1).astype(np.int8).tobytes()
 
     @cached_property
     def homing(self) -> NDArray[np.bool_]:
@@ -153,7 +169,8 @@ class ExecutorView:
             self.counted = sum(map(max, known, message.counts)) if message.counts else sum(known)
 
     def receive_snapshot(self, snapshot: Snapshot) -> ArmState:
-        before, state = self.state, ArmState(self.manipulator, snapshot)
+        before = self.state
+        state = ArmState(self.manipulator, snapshot) if before is None else before.at(snapshot)
         if before is not None and before.snapshot.outputs != snapshot.outputs:
             self._switched_at = np.where(before.outputs != state.outputs, snapshot.at, self._switched_at)
         self.state, self._was_connected = state, True

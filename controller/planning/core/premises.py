@@ -61,11 +61,9 @@ class Locks:
         return mode, reason
 
     def update(self, state: ArmState) -> None:
-        if state.known and not state.snapshot.moving:
-            locked = np.where(state.locked, state.measured, -1).astype(np.int8).tobytes()
-            if locked != self._locked:
-                self._locked, self.problem = locked, None
-                self._act(Log(logging.WARNING, locks_in_words(self.listed)))
+        if state.known and not state.snapshot.moving and state.locked_states != self._locked:
+            self._locked, self.problem = state.locked_states, None
+            self._act(Log(logging.WARNING, locks_in_words(self.listed)))
         self._rebuild()
 
     def retry(self) -> None:
