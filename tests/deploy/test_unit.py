@@ -63,6 +63,11 @@ def test_no_setting_is_unknown_to_systemd() -> None:
     assert [line for line in lines if "is not executable" not in line] == []  # the program is not installed here
 
 
+@pytest.mark.parametrize("name", UNITS)
+def test_memory_is_limited(name: str) -> None:
+    assert "MemoryMax" in settings(UNITS[name])
+
+
 def test_executor_reaches_can_and_local_sockets_only() -> None:
     executor = settings(UNITS["hyperbit-executor"])
     assert executor["RestrictAddressFamilies"] == ["AF_UNIX AF_CAN"]
