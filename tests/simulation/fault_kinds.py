@@ -26,6 +26,7 @@ SHOWN = 0.1  # [s] until a warning is told, by the next snapshot
 RESTARTS = 0.5  # [s] until a board without supply has booted
 OVERRUNS, OVERRUN_EVERY = 25, 0.02  # number, and time between two of them [s]
 TIMES = 8  # stages that switch an actuator to and fro
+ORDINARY = 0.5  # travel time of a simulated actuator, as a fraction of the longest
 LOOSE = 0.3  # [s] for which a wire is loose; a board that does not answer for longer is a fault
 WAYS = {"clear": "answers", "touched": "finds an obstacle", "silent": "is silent", "stream": "sends set-points"}
 
@@ -199,6 +200,12 @@ class FaultKinds:
             boards.loses = board, cia301.SYNC
             planner.ask_to_switch(k)
 
+        travel, margin = world.kinds.travel[k][1 - at], world.kinds.margin[k]
+
+        def dawdle() -> None:
+            boards.fault("slow", label, (travel + 0.7 * margin) / (ORDINARY * travel))
+            planner.ask_to_switch(k)
+
         pause = max(world.kinds.travel[k]) + world.kinds.margin[k] / 2 + world.arm.rest
 
         def miss() -> None:
@@ -222,6 +229,7 @@ class FaultKinds:
                 asks = NO_FAULT._replace(asks=True)
                 made[f"wires are loose, the planner {WAYS[way]}"] = Fault(cause, nothing, asks)
             made["TPDO is lost"] = Fault(lose_tpdo, nothing, NO_FAULT)
+            made["actuator arrives within its margin"] = Fault(dawdle, lambda: boards.fault("slow", label, 1), NO_FAULT)
         if channel.pulse is None and not world.judge.proofs.forgone >> k & 1:
             also = codes("stuck", "not-switched", "unexpected-motion")
             at_once = READ_AT_ONCE + world.arm.rest

@@ -295,6 +295,9 @@ class ScriptedPlanner:
                 self.connection.send(self._author.setpoint(snapshot, self._number, now))
             case "cancel":
                 self.connection.send(Cancel(self._next(), None, "canceled by a client"))
+                if random.random() < 0.4:  # while actuators still travel
+                    locked = random.randrange(len(self._arm.actuators))
+                    self.connection.send(Lock(self._next(), locked, random.randint(0, 1)))
             case "cancel program":
                 number = random.choice([max(0, snapshot.program), self._number, 10**9])
                 self.connection.send(Cancel(0, number, "off its path"))

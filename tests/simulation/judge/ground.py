@@ -98,6 +98,9 @@ class Ground:
         """Returns the time at which an actuator arrives at the latest, by its travel time [s]."""
         return self.switched_at[k] + self.arm.travel[k][self.states >> k & 1]
 
+    def switched_since(self, since: float) -> int:
+        return sum(1 << k for k in range(self.arm.count) if self.switched_at[k] > since)
+
     def surely_moving(self, now: float) -> int:
         """Returns the mask of the actuators that nobody may call arrived.
 

@@ -61,7 +61,8 @@ class Requests:
         self._due: object = None  # the message that must be answered in this step
         self._again: set[int] | None = None  # results that the new planner must get in this step
         self._held: list[Waiting] = []
-        self._lock_moving = False
+        self._lock_moving = False  # an actuator may be moving at the request
+        self._lock_moves = 0  # mask of the actuators that move then, as the executor knows
         self._question = 0
         self._way: tuple[bytes, bytes] | None = None  # of the open question of a stream that goes on
 
@@ -84,6 +85,7 @@ class Requests:
         elif client.planner and isinstance(message, Program | Replacement | Reset | Lock):
             self._due = message
             self._lock_moving = not a.ground.surely_at_rest(a.now, SEEN_WITHIN + TICK)
+            self._lock_moves = a.ground.surely_moving(a.now) & a.ground.switched_since(a.ready_at)
 
     def answered(self) -> None:
         """Records the answer of a program or a replacement."""
@@ -222,7 +224,7 @@ class Requests:
         if asked.actuator >= a.arm.count:
             reasons.add("no-such-actuator")
         over = a.commit is not None and a.commit.given_up and not a.commit.awaited  # its SYNC may not follow any more
-        if a.mode == "executing" or (a.committing and not over):
+        if a.mode == "executing" or (a.committing and not over) or self._lock_moves:
             reasons.add("lock-while-moving")
         elif asked.state >= 0 and tells and level != asked.state and not self._lock_moving and a.mode == "ready":
             reasons.add("end-stop-contradicts")
