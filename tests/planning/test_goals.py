@@ -231,40 +231,6 @@ def test_the_result_of_another_run_of_the_planner_is_published(
     assert (entry.accepted.goal, entry.accepted.waypoints, entry.ended.status) == ("a", 1, "succeeded")
 
 
-def test_a_tip_off_its_path_ends_the_goal(desk: Desk) -> None:
-    points = [desk.tip(0, 0, 0, 0), desk.tip(0, 0, 0, 7)]
-    waypoints = [{"t": 2.0 * k, "position": p} for k, p in enumerate(points)]
-    desk.ask("goal", {"id": "p", "waypoints": waypoints, "path_tolerance": 0.15, "tolerance": {"position": 0.05}})
-    program = desk.executor.expect(Program)
-    desk.executor.accept(program)
-    assert desk.inbox.next("reply")["accepted"]
-    away = desk.bits(3, 3, 3, 3).to_bytes(2, "little")
-    desk.executor.run(program, 0, measured=away)
-    desk.inbox.next("feedback")
-    cancel = desk.executor.expect(Cancel, Replacement)
-    assert cancel.program == program.program
-    desk.executor.end(program, "canceled", cancel.reason, mark=0, measured=away)
-    result = desk.inbox.next("result")
-    assert (result["status"], result["code"]) == ("aborted", codes.PATH_TOLERANCE_VIOLATED)
-    assert result["message"].startswith("after waypoints[0] the measured tip is ")
-    desk.settle()
-    assert "left its path" in desk.state()["reason"]
-
-
-def test_a_tip_within_its_path_tolerance_lets_the_goal_go_on(desk: Desk) -> None:
-    waypoints = [{"t": 2.0 * k, "position": p} for k, p in enumerate((desk.tip(0, 0, 0, 0), desk.tip(0, 0, 0, 7)))]
-    desk.ask("goal", {"id": "p", "waypoints": waypoints, "path_tolerance": 0.15, "tolerance": {"position": 0.05}})
-    program = desk.executor.expect(Program)
-    desk.executor.accept(program)
-    assert desk.inbox.next("reply")["accepted"]
-    desk.executor.run(program, 0)
-    assert desk.inbox.next("feedback")["waypoint"] == 0
-    desk.executor.run(program, 1)
-    assert desk.inbox.next("feedback")["waypoint"] == 1
-    desk.executor.end(program)
-    assert desk.inbox.next("result")["status"] == "succeeded"
-
-
 def test_a_goal_of_a_configuration_is_reached_by_that_one_only(desk: Desk) -> None:
     for name, status in (("1200", "succeeded"), ("1201", "aborted")):
         desk.ask("goal", {"id": name, "waypoints": [{"configuration": "1200"}]})
