@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Generator, Iterable
 from concurrent.futures import CancelledError
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from hyperbit.controller.studies.shares import Job, StudyFailed, alone, compute, pack
@@ -24,7 +23,7 @@ SCHEDULER_TIMEOUT = 60.0  # [s] for the scheduler to answer
 def results(job: Job, shares: Iterable[Any], client: Client | None = None) -> Generator[list[Any], None, None]:
     """Yields the results of each share, in order. Shares are read as they are needed.
 
-    A share of a lost worker is computed again by another one. A share that the scheduler does not know is sent again.
+    A share of a lost worker is computed again by another one.
 
     Args:
         job: what the shares have in common.
@@ -38,27 +37,26 @@ def results(job: Job, shares: Iterable[Any], client: Client | None = None) -> Ge
     if client is None:
         yield from ([result] for result in alone(job, shares))
         return
-    send = partial(client.submit, compute, pack(job), pure=False)
-    waiting = deque[tuple[Any, "Future"]]()
+    packed, waiting = pack(job), deque["Future"]()
     most, counted = 0, -math.inf
     try:
         for share in shares:
-            waiting.append((share, send(share)))
+            waiting.append(client.submit(compute, packed, share, pure=False))
             if time.monotonic() > counted + COUNT_AGAIN:
                 most, counted = AHEAD * max(1, sum(client.nthreads().values())), time.monotonic()
             while len(waiting) >= most:
-                yield result_of(*waiting[0], send, client)
+                yield result_of(waiting[0], client)
                 waiting.popleft()
         while waiting:
-            yield result_of(*waiting[0], send, client)
+            yield result_of(waiting[0], client)
             waiting.popleft()
     finally:
         if waiting and client.status == "running":
-            client.cancel([future for _, future in waiting], force=True)
+            client.cancel(list(waiting), force=True)
 
 
-def result_of(share: Any, future: Future, send: Callable[[Any], Future], client: Client) -> list[Any]:
-    """Waits for the result of a share; `send` sends the share again.
+def result_of(future: Future, client: Client) -> list[Any]:
+    """Waits for the result of a share.
 
     Raises:
         StudyFailed: the share ends its workers, or no worker or no scheduler is left.
@@ -79,14 +77,18 @@ def result_of(share: Any, future: Future, send: Callable[[Any], Future], client:
         except TimeoutError:
             if client.status != "running":
                 raise StudyFailed("the connection to the Dask scheduler is lost") from None
-            if not _ask(client, client.scheduler.ncores):
+            if not threads_of(client):
                 raise StudyFailed("the Dask cluster has no workers any more") from None
-            if _ask(client, client.scheduler.get_task_status, keys=[future.key])[future.key] is None:
-                future = send(share)  # a connection that was lost for a moment has lost the share
 
 
-def _ask(client: Client, question: Callable[..., Any], **arguments: Any) -> Any:
+def threads_of(client: Client) -> dict[str, int]:
+    """Returns the number of threads of each worker.
+
+    Raises:
+        StudyFailed: the scheduler does not answer in time.
+    """
     try:
-        return client.sync(question, callback_timeout=SCHEDULER_TIMEOUT, **arguments)
+        found: dict[str, int] = client.sync(client.scheduler.ncores, callback_timeout=SCHEDULER_TIMEOUT)
     except (TimeoutError, OSError):
         raise StudyFailed(f"the Dask scheduler has not answered within {SCHEDULER_TIMEOUT:g} s") from None
+    return found

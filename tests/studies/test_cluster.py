@@ -53,20 +53,6 @@ def test_shares_are_read_as_they_are_needed(client):
     found.close()
 
 
-def test_a_share_that_never_reached_the_scheduler_is_sent_again(client, monkeypatch):
-    monkeypatch.setattr(stream, "LOOK", 0.5)
-    to_scheduler = client._send_to_scheduler
-
-    def lose(message: dict[str, Any]) -> None:
-        if message["op"] == "update-graph":
-            client._send_to_scheduler = to_scheduler
-        else:
-            to_scheduler(message)
-
-    client._send_to_scheduler = lose
-    assert list(results(Squares(), [[1], [2]], client)) == [[1], [4]]
-
-
 def test_shares_that_are_done_leave_the_memory(client):
     shares, before = ([os.urandom(200_000)] for _ in range(300)), memory()
     assert all(found == [200_000] for found in results(Lengths(), shares, client))
