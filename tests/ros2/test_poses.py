@@ -1,7 +1,7 @@
 """Poses of ROS 2 as waypoints: frames, stamps and turns; and back."""
 
 import math
-import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_a_turn_needs_a_unit_quaternion(w: float) -> None:
 
 
 def test_stamps_that_are_old_or_in_the_future_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(time, "time", lambda: 1e9)
+    monkeypatch.setattr(poses, "time", SimpleNamespace(time=lambda: 1e9))
     for good in (0.0, 1e9, 1e9 - poses.OLDEST, 1e9 + poses.OLDEST):
         check_stamp(good, "goal_pose")
     with pytest.raises(BadGoal, match=r"goal_pose.header.stamp: 6.0 s old, expected at most 5 s, or 0") as refused:
