@@ -222,7 +222,7 @@ class Solver:
                 the whole path; None: 60 s.
             path_deadline: time for the search over the whole path [s]; the search for stages follows after it.
             prove: whether the search over the whole path goes on until `deadline`, or until its lower bound meets the
-                cost. It uses all processors, and up to 1.5 GB.
+                cost. It uses all processors, and up to 1.6 GB.
 
         Raises:
             GoalError: there is no goal, a goal has another dimension than the arm, or a deadline is not positive.

@@ -13,7 +13,7 @@ from hyperbit.drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
 from hyperbit.drivers.simulation.firmware import SimulatedBoard, Wired
 from hyperbit.drivers.simulation.variants import STANDARD, Variant, as_wired
 
-_ORDINARY = 0.5  # travel time of an actuator without faults, as a fraction of the longest travel time
+ORDINARY = 0.5  # travel time of an actuator without faults, as a fraction of the longest travel time
 _LEAST_PULSE = 0.005  # [s] for which one of two coils must be energised
 
 
@@ -222,8 +222,8 @@ def build_actuator(channel: Channel, timing: Timing) -> Actuator:
     single = channel.output_off is None
     return Actuator(
         channel.actuator,
-        _ORDINARY * to_extended,
-        _ORDINARY * to_contracted,
+        ORDINARY * to_extended,
+        ORDINARY * to_contracted,
         least_pulse=None if single else _LEAST_PULSE,
         rest=EXTENDED if single and "output" in channel.inverted else CONTRACTED,
         inverted=("input_contracted" in channel.inverted, "input" in channel.inverted),

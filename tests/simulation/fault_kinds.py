@@ -11,6 +11,7 @@ from hyperbit.controller.executor.core.events import Defect
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
 from hyperbit.drivers.canopen.wire.events import BusOverrun, FrameReceived
+from hyperbit.drivers.simulation.buses import ORDINARY
 from tests.simulation.board_faults import BoardFaults
 from tests.simulation.executor.process import LOOP_FAILS
 from tests.simulation.judge.expected import Expected
@@ -26,7 +27,6 @@ SHOWN = 0.1  # [s] until a warning is told, by the next snapshot
 RESTARTS = 0.5  # [s] until a board without supply has booted
 OVERRUNS, OVERRUN_EVERY = 25, 0.02  # number, and time between two of them [s]
 TIMES = 8  # stages that switch an actuator to and fro
-ORDINARY = 0.5  # travel time of a simulated actuator, as a fraction of the longest
 LOOSE = 0.3  # [s] for which a wire is loose; a board that does not answer for longer is a fault
 WAYS = {"clear": "answers", "touched": "finds an obstacle", "silent": "is silent", "stream": "sends set-points"}
 

@@ -32,7 +32,7 @@ class Means(NamedTuple):
 
 
 def proof_means(processes: int = 1) -> Means:
-    """Returns the means of a proof: all processors, or the share of one of some processes, and up to 1.5 GB."""
+    """Returns the means of a proof: all processors, or the share of one of some processes, and up to 1.6 GB."""
     return Means(max(len(os.sched_getaffinity(0)) // processes, 1), 1 << 25)
 
 
