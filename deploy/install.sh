@@ -1,10 +1,10 @@
 #!/bin/sh
-# Installs hyperbit on a robot computer: a virtual environment under /opt/hyperbit and two systemd services, executor and
-# planner.
+# Installs hyperbit on a robot computer: a virtual environment under /opt/hyperbit and two systemd services for each arm,
+# executor and planner. The arm of the file becomes their instance `arm`.
 #
 #   sudo deploy/install.sh [ARM.yaml]
 #
-# Run it again to upgrade, also from version 0.1 with one service. It keeps existing files in /etc/hyperbit and
+# Run it again to upgrade, also from versions whose services had no instances. It keeps existing files in /etc/hyperbit and
 # /etc/systemd/network, and the counts of switches and the ledger in /var/lib.
 set -eu
 
@@ -27,22 +27,15 @@ command -v systemd-sysusers >/dev/null || fail "systemd-sysusers is missing: apt
 [ -r "$arm" ] || fail "$arm: no such file"
 # A running program imports modules late and must not find another version's modules. The operator decides when the boards
 # may lose their heartbeat.
-running=
-for service in hyperbit hyperbit-executor hyperbit-panel hyperbit-recorder hyperbit-ros2 hyperbit-router; do
-  case $(systemctl is-active "$service.service" 2>/dev/null) in
-  active | activating | reloading | deactivating) running="$running $service" ;;
-  esac
-done
-instances=$(systemctl list-units --plain --no-legend --state=active,activating,reloading,deactivating \
-  'hyperbit@*' 'hyperbit-executor@*' 2>/dev/null | cut -d ' ' -f 1 | tr '\n' ' ')
-running="$running ${instances% }"
-[ "$running" = " " ] || fail "services are running: systemctl stop$running; the boards then do what on_loss says"
+running=$(systemctl list-units --plain --no-legend --state=active,activating,reloading,deactivating 'hyperbit*.service' \
+  2>/dev/null | cut -d ' ' -f 1 | tr '\n' ' ')
+[ -z "$running" ] || fail "services are running: systemctl stop $running; the boards then do what on_loss says"
 
 echo "installing into $prefix"
 "$python" -m venv "$prefix"
 "$prefix/bin/pip" install --quiet --upgrade "$project[panel,recorder,ros2]"
 # numba cannot load kernels compiled from another version. The first start compiles them again.
-rm -rf /var/cache/private/hyperbit/numba /var/cache/private/hyperbit-arms/*/numba
+rm -rf /var/cache/private/hyperbit-arms/*/numba
 rm -rf "$prefix/README.md" "$prefix/doc"
 (cd "$project" && find README.md controller deploy drivers tests -name '*.md') | while IFS= read -r page; do
   install -D -m 644 "$project/$page" "$prefix/doc/$page"
@@ -51,6 +44,30 @@ ln -sf "$prefix/bin/hyperbit" /usr/local/bin/hyperbit
 
 echo "checking $arm"
 "$prefix/bin/hyperbit" check "$arm"
+
+# Up to version 0.3 one arm had services without an instance. They go, and what they kept becomes that of the instance.
+if [ -e /etc/systemd/system/hyperbit.service ]; then
+  systemctl disable hyperbit.service
+  # move FROM TO: moves what is there, unless TO exists.
+  move() {
+    if [ -e "$1" ] && [ ! -e "$2" ]; then
+      mkdir -p "$(dirname "$2")"
+      mv "$1" "$2"
+      echo "moved $1 to $2"
+    fi
+  }
+  move /var/lib/private/hyperbit /var/lib/private/hyperbit-arms/arm/planner
+  move /var/lib/private/hyperbit-executor /var/lib/private/hyperbit-arms/arm/executor
+  move /etc/hyperbit/zenoh.json5 /etc/hyperbit/arm.json5
+  [ ! -e /etc/hyperbit/arm.json5 ] || sed -i 's#/hyperbit.service/#/hyperbit@arm.service/#' /etc/hyperbit/arm.json5
+  for service in hyperbit hyperbit-executor; do
+    rm -f "/etc/systemd/system/$service.service" "/var/lib/$service" "/var/cache/$service"
+    [ ! -d "/etc/systemd/system/$service.service.d" ] ||
+      echo "Warning: $service.service.d has no effect any more: write it again by: systemctl edit $service@arm"
+  done
+  # Kernels and maps are computed again. Version 0.1 left a link to a folder that this version cannot use.
+  rm -rf /var/cache/private/hyperbit /run/hyperbit
+fi
 
 # keep SOURCE TARGET: installs a file, unless TARGET exists: the operator may have changed it.
 keep() {
@@ -77,7 +94,7 @@ for group in yaml.safe_load(open(sys.argv[1], encoding="utf-8"))["modules"]:
 else
   keep "$arm" /etc/hyperbit/arm.yaml
 fi
-keep "$project/deploy/zenoh.json5" /etc/hyperbit/zenoh.json5
+keep "$project/deploy/zenoh.json5" /etc/hyperbit/arm.json5
 keep "$project/deploy/zenoh-router.json5" /etc/hyperbit/zenoh-router.json5
 # One file for each bus of the arm, with its bit rate.
 "$prefix/bin/python" -c '
@@ -97,25 +114,21 @@ done
 keep "$project/deploy/can0.link" /etc/systemd/network/80-can0.link
 # A static group: by it the planner's user and operators may open the executor's socket.
 systemd-sysusers --inline 'g hyperbit -'
-for service in hyperbit hyperbit-executor hyperbit@ hyperbit-executor@ hyperbit-panel hyperbit-recorder hyperbit-ros2 \
-  hyperbit-router; do
+for service in hyperbit@ hyperbit-executor@ hyperbit-panel hyperbit-recorder hyperbit-ros2 hyperbit-router; do
   install -D -m 644 "$project/deploy/$service.service" "/etc/systemd/system/$service.service"
 done
 # Explanations for `journalctl -x`.
 install -D -m 644 "$project/deploy/hyperbit.catalog" /usr/local/lib/systemd/catalog/hyperbit.catalog
 journalctl --update-catalog
 
-# Version 0.1 left a link to a folder that this version cannot use.
-[ ! -L /run/hyperbit ] || rm /run/hyperbit
-
 systemctl daemon-reload
-systemctl enable hyperbit.service
+systemctl enable hyperbit@arm.service
 cat <<'TEXT'
 Installed and enabled. Next:
   systemctl restart systemd-networkd                     bring up can0
   hyperbit check /etc/hyperbit/arm.yaml --bus            read each board
-  systemctl start hyperbit                               start planner and executor
-  journalctl -f -u hyperbit -u hyperbit-executor         read their messages
+  systemctl start hyperbit@arm                           start planner and executor
+  journalctl -f -u 'hyperbit*'                           read their messages
   hyperbit watch /etc/hyperbit/arm.yaml                  watch the arm
   systemctl start hyperbit-panel                         serve the operator's page, see README.md
   systemctl start hyperbit-recorder                      record the arm into /var/lib/hyperbit-recorder

@@ -1,4 +1,4 @@
-"""Log lines for systemd's journal, with fields: `journalctl -u hyperbit HYPERBIT_BOARD=3`, and MESSAGE_IDs for -x.
+"""Log lines for systemd's journal, with fields: `journalctl -u 'hyperbit*' HYPERBIT_BOARD=3`, and MESSAGE_IDs for -x.
 
 Each kind of message has a permanent id, derived from its name; deploy/hyperbit.catalog explains the kinds. In the
 journal's native protocol a message is a datagram of NAME=value lines; a value with a line break follows its length.

@@ -1,9 +1,8 @@
-"""Paths of the executors' sockets: `<arm>.sock` in the folder of a service or of a user."""
+"""Paths of the executors' sockets: `<arm>.sock` in the folder of an instance of the service, or of a user."""
 
 import os
 from pathlib import Path
 
-SYSTEM = Path("/run/hyperbit")  # folder of the service
 INSTANCES = Path("/run/hyperbit-arms")  # folders of the services by instance
 
 
@@ -18,16 +17,15 @@ def default_socket(arm: str) -> Path:
     if service:
         return Path(service.split(":")[0]) / f"{arm}.sock"
     own = user_folder() / f"{arm}.sock"
-    system = [SYSTEM / own.name, *(folder / own.name for folder in INSTANCES.glob("*"))]
-    running = next((path for path in system if os.path.exists(path)), None)  # False if unreadable for this user
-    return running or (system[0] if os.access(SYSTEM, os.W_OK) else own)
+    system = (folder / own.name for folder in INSTANCES.glob("*"))
+    return next((path for path in system if os.path.exists(path)), own)  # False if unreadable for this user
 
 
 def found_sockets() -> list[Path]:
     """Returns the paths of all executors' sockets, running or not, in the folders of `default_socket`."""
     service = os.environ.get("RUNTIME_DIRECTORY")
     folders = [Path(service.split(":")[0])] if service else []
-    folders += [SYSTEM, *INSTANCES.glob("*"), user_folder()]
+    folders += [*INSTANCES.glob("*"), user_folder()]
     paths = [path for folder in folders for path in folder.glob("*.sock")]
     return sorted({path for path in paths if path.is_socket()})
 

@@ -35,7 +35,7 @@ class Cause(Enum):
     NOBODY = START
     UNKNOWN_HOST = "check the name, or give the IP address of the computer: getent hosts NAME must print one"
     NO_ANSWER = (
-        "check power, cable and firewall of that computer; if its daemon runs, read its log: journalctl -u hyperbit"
+        "check power, cable and firewall of that computer; if its daemon runs, read its log: journalctl -u 'hyperbit*'"
     )
     REFUSED = "give this client a certificate that the daemon accepts: deploy/certificates.sh KEYS client NAME"
     TLS = "make a new certificate as the old one was made: deploy/certificates.sh"
@@ -170,7 +170,7 @@ def refusing_peer(text: str, endpoint: Endpoint, tls: Mapping[str, Any], plain: 
         step = f"write {right}/{text.partition('/')[2]}, or choose another --zenoh file"
         return NoSession(Cause.TLS, f"{text} {what}", step)
     words = f"{text} ended the connection: it is no Zenoh daemon, or has no place for another session"
-    return NoSession(Cause.REFUSED, words, "read the log of the program there: journalctl -u hyperbit")
+    return NoSession(Cause.REFUSED, words, "read the log of the program there: journalctl -u 'hyperbit*'")
 
 
 def unusable_address(text: str, error: zenoh.ZError) -> NoSession:

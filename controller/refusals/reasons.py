@@ -8,7 +8,7 @@ import enum
 
 from hyperbit.controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, OLD_HEADER_TIMESTAMP
 
-REPORT = "report this defect of hyperbit with the journal: journalctl -u hyperbit"
+REPORT = "report this defect of hyperbit with the journal: journalctl -u 'hyperbit*'"
 RESET = "remove the cause, then: hyperbit reset {arm}"
 AGAIN = "send it again"
 FEWER = "send fewer waypoints"
@@ -237,12 +237,12 @@ class Reason(enum.Enum):
     NO_EXECUTOR = (
         "no-executor",
         "the executor is not connected: {why}",
-        "check it by: systemctl status hyperbit-executor",
+        "check it by: systemctl status 'hyperbit-executor@*'",
     )
     EXECUTOR_LOST = (
         "executor-lost",
         "the connection to the executor was lost before it answered: {why}",
-        "check it by: systemctl status hyperbit-executor",
+        "check it by: systemctl status 'hyperbit-executor@*'",
     )
     EXECUTOR_SILENT = "executor-silent", "the executor did not answer within {seconds} s", AGAIN
     EXECUTOR_BEHIND = "executor-behind", "the executor has not answered an earlier request", AGAIN

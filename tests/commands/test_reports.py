@@ -226,15 +226,18 @@ def test_wear_reads_the_ledger(hyperbit, tmp_path):
 
 @pytest.fixture
 def ledgers(monkeypatch, tmp_path):
-    monkeypatch.setattr(wear, "SERVICE_FOLDERS", (tmp_path / "service", tmp_path / "private"))
-    return tmp_path / "state" / "hyperbit" / "planar16.sqlite", tmp_path / "service" / "planar16.sqlite"
+    monkeypatch.setattr(wear, "INSTANCES", tmp_path / "arms")
+    return (
+        tmp_path / "state" / "hyperbit" / "planar16.sqlite",
+        tmp_path / "arms" / "arm" / "planner" / "planar16.sqlite",
+    )
 
 
 def test_wear_reads_the_ledger_that_was_written_last(hyperbit, ledgers):
     user, service = ledgers
     code, _, err = hyperbit("wear", ARM)
     assert (code, err.startswith(f"{user}: no ledger there")) == (1, True)
-    service.parent.mkdir()
+    service.parent.mkdir(parents=True)
     with sqlite3.connect(service) as book:
         book.executescript(SCHEMA)
     assert hyperbit("wear", ARM)[1].startswith(f"ledger {service}\n")
@@ -253,10 +256,10 @@ def test_wear_reads_the_ledger_that_was_written_last(hyperbit, ledgers):
 def test_wear_names_a_ledger_that_it_cannot_read(hyperbit, ledgers, monkeypatch):
     user, service = ledgers
     is_file = Path.is_file
-    service.parent.symlink_to("private/hyperbit")
+    service.parent.mkdir(parents=True)
 
     def refused(path):
-        if path.parent in wear.SERVICE_FOLDERS:
+        if path == service:
             raise PermissionError(13, "Permission denied")
         return is_file(path)
 

@@ -207,7 +207,7 @@ def test_without_a_router_the_daemons_certificates_decide_who_may_stop_all(keys:
     endpoint = free_endpoint().replace("tcp/127.0.0.1", "tls/localhost")
     file = keys / "daemon" / "zenoh.json5"
     shipped = (DEPLOY / "zenoh-tls.json5").read_text()
-    file.write_text(shipped.replace("/run/credentials/hyperbit.service/hyperbit.", ""))
+    file.write_text(shipped.replace("/run/credentials/hyperbit@arm.service/hyperbit.", ""))
     config = session.from_file(file)
     config.insert_json5("listen/endpoints", json.dumps([endpoint]))
     with ExitStack() as stack:

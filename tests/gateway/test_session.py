@@ -69,7 +69,7 @@ def test_a_fresh_install_listens_on_the_robot_alone() -> None:
 @pytest.mark.parametrize("name", ["zenoh.json5", "zenoh-tls.json5", "zenoh-router.json5"])
 def test_nothing_is_found_by_itself(tmp_path: Path, name: str) -> None:
     (copy := tmp_path / name).write_text((DEPLOY / name).read_text().replace("/run/credentials", str(tmp_path)))
-    folder = tmp_path / ("hyperbit-router.service" if name == "zenoh-router.json5" else "hyperbit.service")
+    folder = tmp_path / ("hyperbit-router.service" if name == "zenoh-router.json5" else "hyperbit@arm.service")
     folder.mkdir()
     for file in ("ca", "certificate", "key"):
         (folder / f"hyperbit.{file}.pem").touch()

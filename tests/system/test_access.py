@@ -38,7 +38,7 @@ pytestmark = [
 ]
 
 COMMANDS = ("goal", "jog", "setpoint", "measured_tip", "cancel", "stop", "reset", "degrade", "obstacles")
-CREDENTIALS = "/run/credentials/hyperbit.service/hyperbit."
+CREDENTIALS = "/run/credentials/hyperbit@arm.service/hyperbit."
 
 
 @pytest.fixture(scope="module")

@@ -16,9 +16,10 @@ from tests.waiting import eventually
 T = TypeVar("T")
 
 ARM = Path("/etc/hyperbit/arm.yaml")
-PLANNER, EXECUTOR = "hyperbit", "hyperbit-executor"  # services
-CACHE = Path("/var/cache/private/hyperbit")
-STATE = {name: Path("/var/lib/private") / name for name in (PLANNER, EXECUTOR)}
+PLANNER, EXECUTOR = "hyperbit@arm", "hyperbit-executor@arm"  # services
+CACHE = Path("/var/cache/private/hyperbit-arms/arm")
+STATE = {PLANNER: Path("/var/lib/private/hyperbit-arms/arm/planner")}
+STATE[EXECUTOR] = STATE[PLANNER].with_name("executor")
 ENVIRONMENT = {**os.environ, "NUMBA_CACHE_DIR": str(CACHE / "numba")}  # holds compiled kernels
 
 # CAN identifiers (CiA 301, 7.3.5) and states of a heartbeat (7.2.8.3.2.2).

@@ -8,13 +8,13 @@ project=$(cd "$(dirname "$0")/../.." && pwd)
 memory=$layer.memory
 mkdir -p "$memory"
 mount -t tmpfs tmpfs "$memory"
-for folder in etc opt usr/local; do
+for folder in etc opt usr/local var/lib var/cache; do
   mkdir -p "$memory/files/$folder" "$memory/work/$folder"
   mount -t overlay -o "lowerdir=/$folder,upperdir=$memory/files/$folder,workdir=$memory/work/$folder" overlay "/$folder"
 done
 
 # What the version of one service left: its unit, and a ledger of its transient user.
-mkdir -p -m 700 "$memory/files/var/lib/private" "$memory/files/var/lib/private/hyperbit"
+mkdir -p -m 700 /var/lib/private /var/lib/private/hyperbit
 cat > /etc/systemd/system/hyperbit.service << 'UNIT'
 [Service]
 ExecStart=/opt/hyperbit/bin/hyperbit run /etc/hyperbit/arm.yaml --zenoh /etc/hyperbit/zenoh.json5
@@ -37,12 +37,13 @@ CREATE TABLE goals (
     ledger.execute("INSERT INTO goals VALUES (1, ?, 1e9, 1, 1e9, ?, 0, ?, 1000)", ("old", "succeeded", ""))
 ledger.close()
 os.chown(sys.argv[1], 61999, 61999)
-' "$memory/files/var/lib/private/hyperbit/planar16.sqlite"
-chown 61999:61999 "$memory/files/var/lib/private/hyperbit"
+' /var/lib/private/hyperbit/planar16.sqlite
+chown 61999:61999 /var/lib/private/hyperbit
+ln -s private/hyperbit /var/lib/hyperbit
 
 # The first start compiles for minutes where the processor is emulated. Compile here, for any processor.
-mkdir -p -m 700 "$memory/files/var/cache/private"
-export NUMBA_CPU_NAME=generic NUMBA_CACHE_DIR="$memory/files/var/cache/private/hyperbit/numba"
+mkdir -p -m 700 /var/cache/private
+export NUMBA_CPU_NAME=generic NUMBA_CACHE_DIR=/var/cache/private/hyperbit-arms/arm/numba
 rm -rf "$project/build/lib" # an earlier build must not be installed
 arm=$memory/arm.yaml # with two buses
 sed 's/^  - {name: can0, .*/  - {name: can0, channel: can0, bitrate: 500000}\n  - {name: can1, channel: can1, bitrate: 250000}/' \
@@ -51,14 +52,14 @@ PATH=/usr/sbin:/usr/bin:/sbin:/bin SYSTEMD_OFFLINE=1 "$project/deploy/install.sh
 /opt/hyperbit/bin/python -P -m hyperbit.controller.host.kernels
 
 # Six times the units' own times, as the tests' times.
-for service in hyperbit hyperbit-executor; do mkdir "/etc/systemd/system/$service.service.d"; done
-cat > /etc/systemd/system/hyperbit.service.d/emulated.conf << 'UNIT'
+for service in hyperbit@ hyperbit-executor@; do mkdir "/etc/systemd/system/$service.service.d"; done
+cat > /etc/systemd/system/hyperbit@.service.d/emulated.conf << 'UNIT'
 [Service]
 Environment=NUMBA_CPU_NAME=generic
 WatchdogSec=60
 TimeoutStopSec=90
 UNIT
-cat > /etc/systemd/system/hyperbit-executor.service.d/emulated.conf << 'UNIT'
+cat > /etc/systemd/system/hyperbit-executor@.service.d/emulated.conf << 'UNIT'
 [Service]
 WatchdogSec=12
 TimeoutStopSec=90

@@ -148,6 +148,8 @@ def test_upgrade_keeps_counts_and_goals_of_the_version_of_one_service() -> None:
     switches, goals = eventually(lambda: found if len((found := robot.ledger())[1]) == 3 else None)
     assert switches[UPGRADED["actuator"]] >= UPGRADED["switches"]
     assert goals[-1]["id"] == "old"
+    assert not Path("/etc/systemd/system/hyperbit.service").exists()
+    assert not Path("/var/lib/private/hyperbit").exists()
     assert [goal["status"] for goal in goals] == ["succeeded"] * 3
 
 
@@ -302,7 +304,7 @@ def test_certificates_let_in_whom_their_authority_knows(frames: can.BusABC, tmp_
     for part in ("ca", "certificate", "key"):
         to = f"/etc/credstore/hyperbit.{part}.pem"
         subprocess.run(["install", "-D", "-m", "600", keys / "daemon" / f"{part}.pem", to], check=True)
-    shutil.copy(PROJECT / "deploy/zenoh-tls.json5", "/etc/hyperbit/zenoh.json5")
+    shutil.copy(PROJECT / "deploy/zenoh-tls.json5", "/etc/hyperbit/arm.json5")
     systemctl("restart", PLANNER)
     comes_up()
     drain(frames)
@@ -334,4 +336,4 @@ def test_stop_of_the_executor_moves_nothing(frames: can.BusABC) -> None:
     systemctl("stop", EXECUTOR)
     assert state_of(EXECUTOR) == ["inactive", "success", "0"]
     assert syncs(drain(frames)) == []
-    assert not Path("/run/hyperbit").exists()
+    assert not Path("/run/hyperbit-arms/arm").exists()

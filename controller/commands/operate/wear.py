@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -13,9 +12,7 @@ from hyperbit.controller.commands import common
 from hyperbit.controller.commands.arguments import ArmFile, AsJson
 from hyperbit.controller.commands.common import CommandFailed, drawn, print_json
 
-# StateDirectory of the service, and its link target under DynamicUser, which only root can read.
-SERVICE_FOLDERS = (Path("/var/lib/hyperbit"), Path("/var/lib/private/hyperbit"))
-INSTANCES = Path("/var/lib/hyperbit-arms")  # of the services by instance
+INSTANCES = Path("/var/lib/hyperbit-arms")  # state of the services by instance; links that only root can follow
 
 
 def wear(
@@ -75,8 +72,7 @@ def ledger_of(name: str, *, simulated: bool = False) -> Path:
     from hyperbit.controller.host.folders import SIMULATED
     from hyperbit.controller.planning.ledger_file import default_path
 
-    services = [*SERVICE_FOLDERS, *(instance / "planner" for instance in INSTANCES.glob("*"))]
-    folders = [folder / SIMULATED if simulated else folder for folder in services]
+    folders = [folder / SIMULATED if simulated else folder for folder in INSTANCES.glob("*/planner")]
     ledgers = [default_path(name, simulated=simulated), *(folder / f"{name}.sqlite" for folder in folders)]
     times: dict[Path, float] = {}
     for path in ledgers:
@@ -86,6 +82,5 @@ def ledger_of(name: str, *, simulated: bool = False) -> Path:
             if path in parts:
                 times[path] = max(part.stat().st_mtime for part in parts)
         except OSError as error:
-            if os.path.lexists(path.parent):  # otherwise no service is installed, and only /var/lib/private exists
-                common.errors.print(f"{path}: {error.strerror}; root can read the service's ledger", markup=False)
+            common.errors.print(f"{path}: {error.strerror}; root can read the service's ledger", markup=False)
     return max(times, key=lambda path: times[path], default=ledgers[0])

@@ -92,7 +92,7 @@ ADVICE = {
     "unknown-position": FaultAdvice("The first goal moves the actuator to an end; or jog it.", After.NOTHING),
     "degraded": FaultAdvice("The arm works without this actuator. Unlock it after the repair.", After.NOTHING),
 }
-UNKNOWN = FaultAdvice("See the journal: journalctl -u hyperbit -u hyperbit-executor.", After.NOTHING)
+UNKNOWN = FaultAdvice("See the journal: journalctl -u 'hyperbit*'.", After.NOTHING)
 
 
 def advised(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

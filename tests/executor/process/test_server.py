@@ -276,25 +276,22 @@ def test_a_stale_socket_is_replaced(path: Path) -> None:
 
 
 def test_where_sockets_are(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("hyperbit.controller.host.sockets.SYSTEM", tmp_path / "run")
     monkeypatch.setattr("hyperbit.controller.host.sockets.INSTANCES", tmp_path / "arms")
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "user"))
     assert default_socket("a") == tmp_path / "user/hyperbit/a.sock"
-    (tmp_path / "run").mkdir()
-    assert default_socket("a") == tmp_path / "run/a.sock"
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path / "own"))
     assert default_socket("a") == tmp_path / "own/a.sock"
     assert socket_path(tmp_path, "a") == tmp_path / "a.sock"
     assert socket_path(tmp_path / "b.sock", "a") == tmp_path / "b.sock"
-    server = ExecutorServer(tmp_path / "run" / "b.sock")
-    (tmp_path / "run" / "c.sock").touch()
-    assert found_sockets() == [tmp_path / "run" / "b.sock"]
+    (tmp_path / "own").mkdir()
+    server = ExecutorServer(tmp_path / "own" / "b.sock")
+    (tmp_path / "own" / "c.sock").touch()
+    assert found_sockets() == [tmp_path / "own" / "b.sock"]
     server.close()
 
 
 def test_sockets_of_instances_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("hyperbit.controller.host.sockets.SYSTEM", tmp_path / "run")
     monkeypatch.setattr("hyperbit.controller.host.sockets.INSTANCES", tmp_path / "arms")
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "user"))
@@ -310,11 +307,11 @@ def test_sockets_of_instances_are_found(monkeypatch: pytest.MonkeyPatch, tmp_pat
 
 
 def test_folders_that_a_user_may_not_read_hide_their_sockets(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(
-        "hyperbit.controller.host.sockets.SYSTEM", tmp_path / ("x" * 300)
-    )  # a name that cannot be looked at
+    (tmp_path / "arms" / "one").mkdir(parents=True)
+    monkeypatch.setattr("hyperbit.controller.host.sockets.INSTANCES", tmp_path / "arms")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "user"))
-    assert default_socket("a") == tmp_path / "user/hyperbit/a.sock"
+    arm = "x" * 300  # a name that cannot be looked at
+    assert default_socket(arm) == tmp_path / f"user/hyperbit/{arm}.sock"
 
 
 def test_a_socket_that_cannot_be_made_is_named(tmp_path):
