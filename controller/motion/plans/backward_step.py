@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperbit.controller.motion.plans.labels import Late, Neighbours, Pairs, cheapest, joined
-from hyperbit.controller.search.chain import Chain, states_of
+from hyperbit.controller.motion.plans.labels import cheapest, judged
+from hyperbit.controller.search.chain import states_of
+from hyperbit.controller.search.near import Late, Neighbours, Pairs, joined
 from hyperbit.controller.search.pairs import Pairing
 from hyperbit.controller.search.serving import Walk, serving, walks
 from hyperbit.controller.search.solution import EPSILON
@@ -27,52 +28,8 @@ SHARE = 1 << 14  # configurations that a thread takes at once
 LABELS_OF_POINT = 1 << 21  # labels of one point, at most
 MOST_FOUND = 1 << 22  # labels found from SHARE configurations
 SHALLOWEST, DEEPEST_STEP = -8, 12  # least and greatest rise of a threshold in one step, in least weights
-# Prices [s]: a configuration of the lower modules; one that serves a point, found and judged; its neighbours, among n
-# configurations: 2 us + 10 ns * n^0.75, and 2 us for each of them that serves.
-LEAF, COMPARED, JUDGED, FOUND, FIRST_PRICE, PRICE, POWER = 40e-9, 15e-9, 0.6e-6, 2e-6, 2e-6, 10e-9, 0.75
-JOINED, LOOKUP = 1.5e-6, 80e-9  # [s] of one of two lists that are joined, and of a change that is looked up
+LEAF, COMPARED = 40e-9, 15e-9  # [s] of a configuration of the lower modules; of one that serves a point
 SLACK_OF_WORK = 4.0  # a step that takes so many times as long as expected is given up
-PARTS, DEEPEST = 4, 40  # steps of prices in a least weight; greatest budget with a price of its own
-
-
-class Counts:
-    """About how many configurations of the lowest modules are within a cost of one, and how long lists of them take."""
-
-    def __init__(self, chain: Chain, modules: int) -> None:
-        self._unit = chain.least / PARTS
-        counts = np.zeros(PARTS * DEEPEST)
-        counts[0] = 1.0
-        for i, k in enumerate(chain.states[:modules].tolist()):
-            following = np.zeros_like(counts)
-            for shift in np.floor(chain.costs[i, 0, :k] / self._unit + 1e-6).astype(int).tolist():
-                following[shift:] += counts[: len(counts) - shift] if shift < len(counts) else 0.0
-            counts = following
-        self._counts = np.cumsum(counts)
-        self.all = float(np.prod(chain.states[:modules].astype(float)))
-
-    def within(self, budget: float) -> float:
-        """Returns the number within a budget."""
-        at = int(min(budget / self._unit + 1e-6, len(self._counts)))
-        return self.all if at == len(self._counts) else float(self._counts[at]) if at >= 0 else 0.0
-
-    def prices(self, budgets: Array, share: float = 0.0) -> Array:
-        """Returns the times [s] of lists of neighbours within budgets (...), a share of which serves a point."""
-        at = np.clip(np.floor(budgets / self._unit + 1e-6), -1, len(self._counts) - 1).astype(int)
-        counts = self._counts[at]
-        return np.where(at < PARTS, JUDGED, FIRST_PRICE + PRICE * counts**POWER + FOUND * share * counts)
-
-    def joins(self, budgets: Array, least: float) -> Array:
-        """Returns the times [s] to find the pairs of a configuration in another list; of the lowest half of an arm."""
-        lookups = [
-            self._counts[np.clip(np.floor(most / self._unit + 1e-6), 0, len(self._counts) - 1).astype(int)]
-            for most in (budgets / 2, (budgets - least) / 2)
-        ]
-        return np.asarray(JOINED + LOOKUP * (lookups[0] + lookups[1]))
-
-    def affordable(self, price: float) -> float:
-        """Returns the greatest budget whose list takes at most a time [s]."""
-        most = (max(price - FIRST_PRICE, 0.0) / PRICE) ** (1 / POWER)
-        return self._unit * max(int(np.searchsorted(self._counts, most, side="right")) - 1, PARTS)
 
 
 class Step:
@@ -80,7 +37,7 @@ class Step:
 
     def __init__(self, to_go: CostToGo, k: int, near: Array, incumbent: float, late: Late) -> None:
         self._to_go, self._k, self._near, self._incumbent, self._late = to_go, k, near, incumbent, late
-        self.spent = 0.0  # [s], see PRICE
+        self.spent = 0.0  # [s], see counts
         labels, self._far = to_go.labels, int(to_go.labels.last[k + 1])
         self._base = float(labels.thresholds[k + 1 : self._far + 1].min())
         self._values = labels.values[labels.of(k + 1)]
@@ -214,7 +171,7 @@ class Step:
     def _found(self, neighbours: Neighbours, keys: Integers, depth: int) -> tuple[Integers, Array] | None:
         """Returns keys and values of labels of point k that are near keys (n, 1) which serve point k + 1."""
         to_go, k = self._to_go, self._k
-        rest, _ = neighbours.judged(to_go.labels, k + 1, keys)
+        rest, _ = judged(neighbours, to_go.labels, k + 1, keys)
         budgets = self._most(depth) - rest
         use = np.flatnonzero(budgets >= (0.0 if self._fixed else to_go.chain.least * (1 - EPSILON)))
         self.spent += float(self._prices(budgets[np.isfinite(budgets)], depth).sum())
@@ -232,7 +189,7 @@ class Step:
         found = joined([*parts, listed._replace(sources=use[listed.sources])])
         near, values = found.keys, rest[found.sources] + found.costs
         if to_go.labels.last[k] > k or pairing is not None:
-            _, exits = neighbours.judged(to_go.labels, k, near)
+            _, exits = judged(neighbours, to_go.labels, k, near)
             keep = exits == k
             near, values = near[keep], values[keep]
         states = states_of(to_go.chain, near)

@@ -14,11 +14,13 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperbit.controller.motion.plans.backward_step import COMPARED, DEEPEST_STEP, LEAF, SHALLOWEST, Counts, Step
-from hyperbit.controller.motion.plans.labels import Labels, Late, Neighbours
+from hyperbit.controller.motion.plans.backward_step import COMPARED, DEEPEST_STEP, LEAF, SHALLOWEST, Step
+from hyperbit.controller.motion.plans.labels import Labels, judged
 from hyperbit.controller.motion.plans.points import TrajectoryPoint
 from hyperbit.controller.obstacles.scene import scene_of
 from hyperbit.controller.search.chain import Chain, Places, chain_of, keys_of, states_of
+from hyperbit.controller.search.counts import Counts
+from hyperbit.controller.search.near import Late, Neighbours
 from hyperbit.controller.search.pairs import by_bits
 from hyperbit.controller.search.serving import UpperTips, Walk, serving, upper_tips, walks
 from hyperbit.controller.search.solution import EPSILON
@@ -106,7 +108,7 @@ class CostToGo:
 
     def judged(self, k: int, keys: Integers) -> tuple[Array, Integers]:
         """Returns lower bounds of the cost to go, and exits, of keys (n, words) at point k, see `judge`."""
-        return self.neighbours[0].judged(self.labels, k, keys)
+        return judged(self.neighbours[0], self.labels, k, keys)
 
     def list_tips(self, seconds: float) -> None:
         """Lists tips of the upper modules, as many as pay in a search of some time."""
