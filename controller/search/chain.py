@@ -1,5 +1,6 @@
 """An arm and the points of a trajectory for kernels; configurations as keys, and what they serve."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -7,10 +8,11 @@ from numba import boolean, float64, int64, njit
 from numpy.typing import ArrayLike, NDArray
 
 from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, I1, I2, UNCOUNTED, named
-from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
 from hyperbit.controller.search.method import costs_between_states
 from hyperbit.controller.search.segment import compose, motions
+from hyperbit.controller.search.target import SearchTarget
 
 Array = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -67,6 +69,24 @@ def chain_of(manipulator: Manipulator, weights: Array, least: float, whole: bool
     costs = costs_between_states(manipulator, weights)
     return Chain(
         motions(manipulator), manipulator.states, costs, *places, masks, least, whole, BLUR * manipulator.length
+    )
+
+
+def places_of(chain: Chain, points: Iterable[tuple[SearchTarget, Configuration | None]]) -> Places:
+    """Returns points for kernels, each with its target, and its configuration if that is given."""
+    targets, configurations = zip(*points, strict=True)
+    size = 2 if chain.motions.shape[1] == 4 else 3
+    given = np.zeros((len(targets), int(chain.words[-1]) + 1), np.int64)
+    for row, configuration in zip(given, configurations, strict=True):
+        if configuration is not None:
+            row[:] = keys_of(chain, configuration)[0]
+    return Places(
+        np.array([target.position for target in targets]),
+        np.array([target.row[size:] for target in targets]),
+        np.array([target.radius for target in targets]),
+        np.array([target.chord if target.oriented else np.inf for target in targets]),
+        np.array([configuration is not None for configuration in configurations]),
+        given,
     )
 
 

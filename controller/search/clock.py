@@ -13,6 +13,7 @@ EFFORT = 1e-3  # [s] on an ordinary computer for one unit of effort
 START = 0.3e-3  # the beginning of a search
 LISTED = 40e-9  # a row of a list
 INDEXED = 40e-9  # a row of an index, or eight of its cells
+NEIGHBOUR = 0.15e-6  # a change, of those that cost half as much as the neighbours that are listed
 CHANGED = 350e-9  # a changed configuration whose distance is computed
 COMPARED = 2.5e-9  # a comparison of matching, see matching.kernel
 NODE = 150e-9  # a node of branch and bound

@@ -7,7 +7,7 @@ searches, and two lists around the incumbent, until the deadline.
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +15,16 @@ from numpy.typing import NDArray
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.obstacles.scene import collides
 from hyperbit.controller.search.branch_and_bound import BranchAndBound
+from hyperbit.controller.search.chain import Chain
 from hyperbit.controller.search.clock import CHANGED, INDEXED, LISTED, WALL, Clock
 from hyperbit.controller.search.four_list import FourList, FourListProof
+from hyperbit.controller.search.leaps import Leaps
 from hyperbit.controller.search.matching import load, put
 from hyperbit.controller.search.method import distances
 from hyperbit.controller.search.paths import Paths
 from hyperbit.controller.search.segment import Sets, build_segment, motions
 from hyperbit.controller.search.solution import Incumbent
-from hyperbit.controller.search.target import SearchTarget, search_radius
+from hyperbit.controller.search.target import Problem, SearchTarget, search_radius
 from hyperbit.controller.search.two_list import TwoList, room_for
 from hyperbit.controller.workspace.hull import Hull
 
@@ -39,26 +41,16 @@ MARGIN = 4.0  # of the estimated time for a row
 FAR = 1.0, 1.2  # above these multiples of the unexplored cost of pairs, beam searches precede the proof
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """A goal and the costs of configurations."""
-
-    target: SearchTarget  # the goal
-    seed: Configuration  # the configuration of cost 0, shape (B,)
-    costs: Array  # cost of each module's states, at least 0, shape (B, Kmax)
-    unreachable: bool = False  # whether the goal is known to be unreachable
-
-
 class MinimumSwitch:
     """The minimum-switch search of one manipulator, with its memory."""
 
-    def __init__(self, manipulator: Manipulator, hull: Hull, paths: Paths) -> None:
+    def __init__(self, manipulator: Manipulator, hull: Hull, paths: Paths, chain: Chain) -> None:
         load(manipulator.planar)
         self._m, self._hull, self._paths = manipulator, hull, paths
         self._near, self._wide = TwoList(manipulator, NEAR), TwoList(manipulator, LADDER[-1])
         self._four = FourList(manipulator, self._near.cut)
         self._tree = BranchAndBound(manipulator, hull) if manipulator.planar else None
-        self._nearest = Nearest(manipulator, self._wide)
+        self._nearest, self._leaps = Nearest(manipulator, self._wide), Leaps(chain)
         self._row_time = 0.0
         self._proof: FourListProof | None = None
 
@@ -91,12 +83,14 @@ class MinimumSwitch:
     def improve(self, problem: Problem, incumbent: Incumbent) -> None:
         """Runs the stages until the incumbent is proven or the deadline passes, which the gap may extend."""
         tree_search = self._quick_proof, self._branch_and_bound
+        near, leap = ((self._near_seed,), (self._leap,)) if self._leaps.worthwhile else ((), ())
         stages: tuple[Callable[[Problem, Incumbent], None], ...] = (
             self._two_lists,
             self._outside,
             self._ipop,
-            *tree_search,
+            *(near or tree_search),
             self._far,
+            *leap,
             self._four_lists,
             self._approach,
             self._around,
@@ -111,9 +105,9 @@ class MinimumSwitch:
             if not incumbent.proven:
                 stage(problem, incumbent)
         if not incumbent.proven and incumbent.extend():
-            near = () if self._proof is not None else (self._two_lists,)  # the first time may have been too short
-            later = self._approach, self._around, *tree_search, self._four_lists, self._beams, *tree_search
-            for stage in (*near, *later):
+            lists = () if self._proof is not None else (self._two_lists,)  # the first time may have been too short
+            proofs = *tree_search, self._four_lists, self._beams, *tree_search
+            for stage in (*lists, *near, *leap, self._approach, self._around, *proofs):
                 if not incumbent.over:
                     stage(problem, incumbent)
         if incumbent.cost == np.inf:
@@ -151,11 +145,11 @@ class MinimumSwitch:
         """Offers the configuration of IPOP if the incumbent has none within the tolerances."""
         if incumbent.cost < np.inf:
             return
-        target, modules = problem.target, np.arange(len(problem.seed))
+        target = problem.target
         configuration = self._paths.follow(target, problem.seed, "ipop-fewest-switches", incumbent.clock)
         clear = target.scene is None or not collides(target.scene, configuration)
         served = clear and target.met(configuration)
-        cost = float(problem.costs[modules, configuration].sum()) if served else np.inf
+        cost = problem.cost(configuration) if served else np.inf
         square = target.square(self._m.tip(configuration)) if clear else np.inf
         incumbent.offer(configuration, cost, square)
 
@@ -199,6 +193,16 @@ class MinimumSwitch:
             self._list(problem, problem.seed, problem.costs, most, incumbent.clock)
             proof.add(wide, starts, (starts[0], wide.upper.unexplored), incumbent.cost)
             proof.run(incumbent)
+
+    def _near_seed(self, problem: Problem, incumbent: Incumbent) -> None:
+        """Lists all that is near the seed."""
+        if not problem.unreachable and not incumbent.late:
+            self._leaps.prove(problem, incumbent)
+
+    def _leap(self, problem: Problem, incumbent: Incumbent) -> None:
+        """Lists what is near other configurations, for a part of the remaining time."""
+        if not problem.unreachable and not incumbent.late:
+            self._leaps.improve(problem, incumbent, incumbent.until - REST_FOUND * incumbent.remaining())
 
     def _far(self, problem: Problem, incumbent: Incumbent) -> None:
         """Improves an incumbent that costs too much for a quick proof: beam searches, and two lists around it."""

@@ -31,9 +31,9 @@ class Pairs(NamedTuple):
 class Neighbours:
     """Lists configurations near others for one thread; holds the memory for it."""
 
-    def __init__(self, chain: Chain, places: Places, scene: Scene | None, most_rows: int) -> None:
+    def __init__(self, chain: Chain, places: Places, scene: Scene | None, most_rows: int, rows: int = ROWS) -> None:
         self.chain, self.places, self.scene, self._most_rows = chain, places, scene, most_rows
-        self.changed, self._found = room_for_changes(chain, ROWS), self._room(LISTED)
+        self.changed, self._found = room_for_changes(chain, rows), self._room(LISTED)
 
     def _room(self, rows: int) -> Found:
         words = int(self.chain.words[-1]) + 1

@@ -14,12 +14,13 @@ from hyperbit.controller.manipulator.frames import inverse
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.obstacles.scene import scene_of
+from hyperbit.controller.search.chain import Chain, chain_of
 from hyperbit.controller.search.clock import EFFORT, START, WALL
 from hyperbit.controller.search.method import MINIMUM_SWITCH, Method, cost_of_switches, switch_costs
-from hyperbit.controller.search.minimum_switch import MinimumSwitch, Problem
+from hyperbit.controller.search.minimum_switch import MinimumSwitch
 from hyperbit.controller.search.paths import Paths
 from hyperbit.controller.search.solution import EPSILON, UNFOUND, Incumbent, SearchTime, Solution
-from hyperbit.controller.search.target import SearchTarget, distance
+from hyperbit.controller.search.target import Problem, SearchTarget, distance
 from hyperbit.controller.search.two_list import TwoList
 from hyperbit.controller.workspace.densities import Densities
 from hyperbit.controller.workspace.hull import build_hull
@@ -227,8 +228,13 @@ class Solver:
         return TwoList(self.manipulator, CANDIDATE_ROWS)
 
     @cached_property
+    def chain(self) -> Chain:
+        """The arm for kernels."""
+        return chain_of(self.manipulator, self.weights, self.least_weight, self.whole_weights)
+
+    @cached_property
     def _minimum(self) -> MinimumSwitch:
-        return MinimumSwitch(self.manipulator, self._hull, self._paths)
+        return MinimumSwitch(self.manipulator, self._hull, self._paths, self.chain)
 
 
 def search_time(first: float, per_switch: float = 0.0, deadline: float | None = None) -> SearchTime:

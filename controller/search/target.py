@@ -175,3 +175,17 @@ def reaches(query: SearchQuery, configuration: Configuration) -> bool:
     """Returns whether the tip of a configuration (B,) is within the tolerances of a query."""
     tip = tip_of(query.base, query.frames, configuration)
     return bool(within(tip, query.goal, query.tolerance, query.angle_tolerance))
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A goal and the costs of configurations."""
+
+    target: SearchTarget  # the goal
+    seed: Configuration  # the configuration of cost 0, shape (B,)
+    costs: Array  # cost of each module's states, at least 0, shape (B, Kmax)
+    unreachable: bool = False  # whether the goal is known to be unreachable
+
+    def cost(self, configuration: Configuration) -> float:
+        """Returns the cost of a configuration (B,)."""
+        return float(self.costs[np.arange(len(configuration)), configuration].sum())

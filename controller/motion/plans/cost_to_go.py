@@ -8,7 +8,7 @@ point k + 1 to k lists all configurations with exit k near those that serve k + 
 
 import math
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -18,7 +18,7 @@ from hyperbit.controller.motion.plans.backward_step import COMPARED, DEEPEST_STE
 from hyperbit.controller.motion.plans.labels import Labels, judged
 from hyperbit.controller.motion.plans.points import TrajectoryPoint
 from hyperbit.controller.obstacles.scene import scene_of
-from hyperbit.controller.search.chain import Chain, Places, chain_of, keys_of, states_of
+from hyperbit.controller.search.chain import Places, places_of, states_of
 from hyperbit.controller.search.counts import Counts
 from hyperbit.controller.search.near import Late, Neighbours
 from hyperbit.controller.search.pairs import by_bits
@@ -37,24 +37,6 @@ NEAR_START = 1e-5  # share of the configurations near the start that serve a poi
 LEAST_PART = 4.0  # a step may take this part of the mean time of a step, at least
 SAMPLES, FEW_POINTS = 512, 200  # positions that show which exits are frequent, and points for which it is known
 LEAST_SPENT = 1.0  # [s] of work by which the speed of the computer is known
-
-
-def places_of(points: Iterable[TrajectoryPoint], chain: Chain) -> Places:
-    """Returns points for kernels."""
-    targets, configurations = zip(*((point.target, point.configuration) for point in points), strict=True)
-    size = 2 if chain.motions.shape[1] == 4 else 3
-    given = np.zeros((len(targets), int(chain.words[-1]) + 1), np.int64)
-    for row, configuration in zip(given, configurations, strict=True):
-        if configuration is not None:
-            row[:] = keys_of(chain, configuration)[0]
-    return Places(
-        np.array([target.position for target in targets]),
-        np.array([target.row[size:] for target in targets]),
-        np.array([target.radius for target in targets]),
-        np.array([target.chord if target.oriented else np.inf for target in targets]),
-        np.array([configuration is not None for configuration in configurations]),
-        given,
-    )
 
 
 def farthest_exits(places: Places) -> Integers:
@@ -83,8 +65,8 @@ class CostToGo:
         self, solver: Solver, points: Sequence[TrajectoryPoint], threads: int, most_labels: int, most_tips: int
     ) -> None:
         count = len(points)
-        self.chain = chain_of(solver.manipulator, solver.weights, solver.least_weight, solver.whole_weights)
-        self.places, self._solver, self._most_tips = places_of(points, self.chain), solver, most_tips
+        self.chain, self._solver, self._most_tips = solver.chain, solver, most_tips
+        self.places = places_of(self.chain, [(point.target, point.configuration) for point in points])
         memory, none = (np.empty(most_labels, np.int64), np.empty(most_labels)), np.zeros(count, np.int64)
         self.labels = Labels(*memory, none, none.copy(), np.zeros(count), farthest_exits(self.places))
         self.least, self.used, self.unit = np.zeros(count), 0, self.chain.least if self.chain.whole else 0.0
