@@ -22,6 +22,7 @@ from hyperbit.controller.search.chain import (
     states_of,
 )
 from hyperbit.controller.search.changes import CHANGED, Changed, prepare
+from hyperbit.controller.search.clock import CHANGED as CHANGED_ONE
 from hyperbit.controller.search.clock import NEIGHBOUR
 from hyperbit.controller.search.counts import Counts
 from hyperbit.controller.search.near import Neighbours
@@ -32,7 +33,7 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 MOST_HALF = 1 << 18  # changes that cost at most half a budget
-LONG = 3  # of an arm that is not long, lists reach twice as many switches
+LONG = 3  # switches of half a budget; lists that reach so far are of an arm that other searches prove sooner
 MOST_ROWS, MOST_FOUND = 1 << 20, 1 << 16  # changes in memory; configurations of one list
 WIDTHS = 4, 16  # configurations with equally many single changes around which lists are made
 
@@ -41,14 +42,16 @@ class Leaps:
     """Lists of the configurations of one arm that cost little from others.
 
     Attributes:
-        worthwhile: whether the arm is so long that other searches prove less in the same time.
+        worthwhile: whether the arm is so long that lists prove more than other searches in the same time.
     """
 
     def __init__(self, chain: Chain) -> None:
         self._chain, self._counts, half = chain, Counts(chain, len(chain.states)), chain.least
-        while self._counts.within(half) < self._counts.within(half + chain.least) <= MOST_HALF:
+        within = self._counts.within
+        while within(half) < within(half + chain.least) <= MOST_HALF:
             half += chain.least
-        self._budget, self.worthwhile = 2 * half, half < LONG * chain.least
+        cheapest = np.where(chain.costs > 0, chain.costs, np.inf).min(axis=(1, 2))  # of each module
+        self._budget, self.worthwhile = 2 * half, within(half) < self._counts.all and half < LONG * np.median(cheapest)
         self._lists: Neighbours | None = None
 
     def prove(self, problem: Problem, incumbent: Incumbent) -> None:
@@ -63,6 +66,7 @@ class Leaps:
         for width in WIDTHS:
             level = problem.seed[None]
             while len(level := self._nearer(level, problem, incumbent.cost, width)):
+                incumbent.clock.charge(CHANGED_ONE * level.size)
                 for row in level:
                     budget = min(self._budget, incumbent.cost - problem.cost(row) - self._chain.least)
                     if incumbent.over or not self._list(row, problem, budget, incumbent, until):
@@ -107,8 +111,8 @@ class Leaps:
         tips, squares = np.empty((*costs.shape, 3)), np.full((len(level), *costs.shape), np.inf)
         for n, row in enumerate(level):
             write_tips(self._chain, changed, keys, n, tips)
-            totals = problem.cost(row) - costs[modules, row][:, None] + costs
-            cheap = totals < most - 1.5 * self._chain.least
+            added = costs - costs[modules, row][:, None]
+            cheap = (added > 0) & (problem.cost(row) + added < most - 1.5 * self._chain.least)
             squares[n][cheap] = ((tips - problem.target.position) ** 2).sum(axis=2)[cheap]
         nearest = np.argsort(squares, axis=None)[: width * len(level)]
         nearest = nearest[squares.ravel()[nearest] < np.inf]

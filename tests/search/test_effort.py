@@ -30,7 +30,7 @@ class Asked(NamedTuple):
 
 
 def arm_of(kind: str) -> Manipulator:
-    return spatial_arm(6) if kind == "spatial" else paper_arm(16)
+    return spatial_arm(6) if kind == "spatial" else paper_arm(48 if kind == "long" else 16)
 
 
 def solver_of(kind: str) -> Solver:
@@ -66,7 +66,7 @@ def answers(kind: str, order: list[int]) -> dict[int, Answer]:
     return {k: answer(solver, asked[k]) for k in order}
 
 
-@pytest.mark.parametrize("kind", ["paper", "obstacle", "spatial"])
+@pytest.mark.parametrize("kind", ["paper", "obstacle", "spatial", "long"])
 def test_an_answer_by_work_does_not_depend_on_earlier_searches(kind):
     """Alone, on a solver of its own; in order and in reverse, after others; after searches that ended by time."""
     asked = searches(kind)

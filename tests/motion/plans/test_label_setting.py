@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperbit.controller.manipulator.frame_kernels import angle_between
-from hyperbit.controller.motion.plans import backward_step, label_setting
+from hyperbit.controller.motion.plans import label_setting
 from hyperbit.controller.motion.plans.label_setting import LabelSetting
 from hyperbit.controller.motion.plans.points import TrajectoryPoints
 from hyperbit.controller.motion.plans.transitions import TransitionPlanner
@@ -17,6 +17,7 @@ from hyperbit.controller.motion.plans.whole import plan_whole
 from hyperbit.controller.motion.trajectory import Trajectory, through
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search import counts
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, short_arms, spatial_arm
@@ -149,8 +150,8 @@ def labels_only(search: LabelSetting, stop=lambda: False) -> None:
 @pytest.mark.parametrize("seed", range(20, 28))
 def test_labels_alone_give_valid_bounds(seed, paired, monkeypatch):
     if paired:  # pairs cost nothing
-        monkeypatch.setattr(backward_step, "JOINED", 0.0)
-        monkeypatch.setattr(backward_step, "LOOKUP", 0.0)
+        monkeypatch.setattr(counts, "JOINED", 0.0)
+        monkeypatch.setattr(counts, "LOOKUP", 0.0)
     case = random_case(seed, 1 << 13)
     search = LabelSetting(case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, threads=2)
     labels_only(search)

@@ -1,0 +1,125 @@
+"""Lists of all that is near a configuration, against brute force, and what they find for long arms."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.scene import collides
+from hyperbit.controller.search.leaps import Leaps
+from hyperbit.controller.search.method import switch_costs
+from hyperbit.controller.search.solution import Incumbent
+from hyperbit.controller.search.solver import Solver, search_effort
+from hyperbit.controller.search.target import Problem
+from hyperbit.controller.workspace.mapping import map_densities
+from tests.arms import every_configuration, paper_arm, short_arms, spatial_arm
+from tests.obstacles.dense import Disc, obstacles_of
+from tests.search.test_minimum_switch import SURE, costs_of
+
+LONG = {"planar": paper_arm(48), "spatial": spatial_arm(44)}
+
+
+def solver_of(arm: Manipulator, weights: np.ndarray | None = None, clearance: BodyClearance | None = None) -> Solver:
+    return Solver(arm, map_densities(arm, arm.length / 40 + 1e-6, 4000), weights, clearance)
+
+
+@settings(max_examples=60)
+@given(short_arms(most=4), st.integers(0, 2**32 - 1), st.floats(1e-3, 0.5), st.booleans(), st.booleans())
+def test_the_nearest_are_those_of_brute_force(arm, seed, tolerance, weighted, posed):
+    if np.prod(arm.states.astype(float)) > 5000:
+        return
+    rng = np.random.default_rng(seed)
+    weights = rng.uniform(0.5, 2.0, len(arm.actuators)) if weighted else np.ones(len(arm.actuators))
+    previous, goal = rng.integers(0, arm.states), arm.tip(rng.integers(0, arm.states))
+    solver = solver_of(arm, weights)
+    angle = 0.3 if posed else np.inf
+    target = solver.target(goal if posed else goal[: arm.dimension, 3], tolerance, angle)
+    problem = Problem(target, previous, switch_costs(arm, previous, solver.weights))
+    incumbent, leaps = Incumbent(previous, np.inf), Leaps(solver.chain)
+    leaps.prove(problem, incumbent)
+    every, costs = every_configuration(arm), costs_of(arm, previous, weights)
+    surely, maybe = (
+        costs[[target_of(solver, goal, tolerance + slack, angle + slack, posed).met(row) for row in every]]
+        for slack in (-SURE, SURE)
+    )
+    assert incumbent.bound <= surely.min(initial=np.inf) + 1e-9
+    if incumbent.cost < np.inf:
+        assert target.met(incumbent.configuration)
+        assert incumbent.cost == pytest.approx(problem.cost(incumbent.configuration))
+        assert maybe.min() - 1e-9 <= incumbent.cost <= surely.min(initial=np.inf) + 1e-9
+        assert incumbent.proven
+    leaps.improve(problem, incumbent, np.inf)
+    assert incumbent.cost == np.inf or target.met(incumbent.configuration)
+
+
+def target_of(solver: Solver, goal: np.ndarray, tolerance: float, angle: float, posed: bool):
+    return solver.target(goal if posed else goal[: solver.manipulator.dimension, 3], tolerance, angle)
+
+
+def changed(arm: Manipulator, configuration: np.ndarray, switches: int, rng: np.random.Generator) -> np.ndarray:
+    """Returns a configuration that differs in so many modules, by one actuator each where an actuator has a bit."""
+    other = configuration.copy()
+    for i in rng.choice(len(other), switches, replace=False):
+        states = [j for j in range(arm.states[i]) if j != other[i]]
+        cheapest = [int((arm.bits[i, j] != arm.bits[i, other[i]]).sum()) for j in states]
+        other[i] = states[int(np.argmin(cheapest))]
+    return other
+
+
+@pytest.mark.parametrize("kind", LONG)
+def test_a_long_arm_finds_and_proves_a_few_switches(kind):
+    arm, rng = LONG[kind], np.random.default_rng(11)
+    solver = solver_of(arm)
+    leaps = Leaps(solver.chain)
+    assert leaps.worthwhile
+    for _ in range(4):
+        start = rng.integers(0, arm.states)
+        goal = changed(arm, start, 3, rng)
+        target = solver.target(arm.tip(goal)[: arm.dimension, 3], 1e-6)
+        problem = Problem(target, start, switch_costs(arm, start, solver.weights))
+        incumbent = Incumbent(start, np.inf)
+        leaps.prove(problem, incumbent)
+        if problem.cost(goal) <= 4:
+            assert incumbent.proven
+            assert incumbent.cost <= problem.cost(goal)
+
+
+def test_leaps_save_a_long_arm_switches_in_the_same_work(monkeypatch):
+    arm, rng = LONG["planar"], np.random.default_rng(3)
+    pairs = [(rng.integers(0, arm.states), arm.tip(rng.integers(0, arm.states))[:2, 3]) for _ in range(8)]
+
+    def solved() -> float:
+        solver = solver_of(arm)
+        found = [solver.solve(solver.target(goal, 0.01), start, timeout=search_effort(150.0)) for start, goal in pairs]
+        assert all(each.within_tolerance and each.bound <= each.cost for each in found)
+        return sum(each.cost for each in found)
+
+    cost = solved()
+    before = Leaps.__init__
+
+    def short(self: Leaps, *arguments: object) -> None:
+        before(self, *arguments)
+        self.worthwhile = False
+
+    monkeypatch.setattr(Leaps, "__init__", short)
+    assert cost < solved()
+
+
+def test_obstacles_and_short_arms_are_heeded():
+    assert not Leaps(solver_of(paper_arm(16)).chain).worthwhile
+    assert not Leaps(solver_of(paper_arm(1)).chain).worthwhile
+    arm, rng = LONG["planar"], np.random.default_rng(5)
+    start = np.zeros(48, dtype=np.int64)
+    free = solver_of(arm)
+    goal = arm.tip(changed(arm, start, 2, rng))[:2, 3]
+    found = free.solve(free.target(goal, 1e-3), start)
+    clearance = BodyClearance(arm, obstacles_of([Disc(tuple(arm.chain(found.configuration)[24][:2, 3]), 0.05)]))
+    among = solver_of(arm, None, clearance)
+    target = among.target(goal, 1e-3)
+    incumbent = Incumbent(start, np.inf)
+    problem = Problem(target, start, switch_costs(arm, start, among.weights))
+    Leaps(among.chain).prove(problem, incumbent)
+    assert incumbent.cost > found.cost
+    assert incumbent.cost == np.inf or not collides(target.scene, incumbent.configuration)
