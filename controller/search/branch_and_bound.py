@@ -18,7 +18,7 @@ from hyperbit.controller.manipulator.manipulator import Configuration, Manipulat
 from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
 from hyperbit.controller.search.clock import MAPS as MAPS_PRICE
 from hyperbit.controller.search.clock import NODE, WALL, Clock
-from hyperbit.controller.search.segment import motions
+from hyperbit.controller.search.lists.segment import motions
 from hyperbit.controller.search.solution import EPSILON, Incumbent
 from hyperbit.controller.search.target import QUERY, SearchQuery, SearchTarget, reaches, search_radius
 from hyperbit.controller.workspace.cost_to_go import MAPS, UNREACHABLE, CostToGo, Maps, in_levels

@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.obstacles.scene import collides
 from hyperbit.controller.search.branch_and_bound import BranchAndBound
-from hyperbit.controller.search.chain import Chain
 from hyperbit.controller.search.clock import CHANGED, INDEXED, LISTED, WALL, Clock
-from hyperbit.controller.search.four_list import FourList, FourListProof
-from hyperbit.controller.search.leaps import Leaps
-from hyperbit.controller.search.matching import load, put
+from hyperbit.controller.search.descent.paths import Paths
+from hyperbit.controller.search.lists.four_list import FourList, FourListProof
+from hyperbit.controller.search.lists.matching import load, put
+from hyperbit.controller.search.lists.segment import Sets, build_segment, motions
+from hyperbit.controller.search.lists.two_list import TwoList, room_for
 from hyperbit.controller.search.method import distances
-from hyperbit.controller.search.paths import Paths
-from hyperbit.controller.search.segment import Sets, build_segment, motions
+from hyperbit.controller.search.neighbours.chain import Chain
+from hyperbit.controller.search.neighbours.leaps import Leaps
 from hyperbit.controller.search.solution import Incumbent
 from hyperbit.controller.search.target import Problem, SearchTarget, search_radius
-from hyperbit.controller.search.two_list import TwoList, room_for
 from hyperbit.controller.workspace.hull import Hull
 
 Array = NDArray[np.float64]

@@ -14,14 +14,14 @@ from hyperbit.controller.manipulator.frames import inverse
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.obstacles.scene import scene_of
-from hyperbit.controller.search.chain import Chain, chain_of
 from hyperbit.controller.search.clock import EFFORT, START, WALL
+from hyperbit.controller.search.descent.paths import Paths
+from hyperbit.controller.search.lists.two_list import TwoList
 from hyperbit.controller.search.method import MINIMUM_SWITCH, Method, cost_of_switches, switch_costs
 from hyperbit.controller.search.minimum_switch import MinimumSwitch
-from hyperbit.controller.search.paths import Paths
+from hyperbit.controller.search.neighbours.chain import Chain, chain_of
 from hyperbit.controller.search.solution import EPSILON, UNFOUND, Incumbent, SearchTime, Solution
 from hyperbit.controller.search.target import Problem, SearchTarget, distance
-from hyperbit.controller.search.two_list import TwoList
 from hyperbit.controller.workspace.densities import Densities
 from hyperbit.controller.workspace.hull import build_hull
 

@@ -20,11 +20,11 @@ WITHOUT = (  # what the planner's core and clients use
 def test_modules_with_kernels_come_with_those_they_depend_on():
     found = kernels.kernels()
     assert {
-        "hyperbit.controller.search.matching",
+        "hyperbit.controller.search.lists.matching",
         "hyperbit.controller.obstacles.scene",
         "hyperbit.controller.obstacles.collision",
     } <= found.keys()
-    assert "hyperbit.controller.obstacles.collision" in found["hyperbit.controller.search.matching"]
+    assert "hyperbit.controller.obstacles.collision" in found["hyperbit.controller.search.lists.matching"]
     for name, others in found.items():
         assert name not in others
         assert others <= found.keys()

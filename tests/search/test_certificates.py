@@ -14,7 +14,8 @@ from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.manipulator.module import Module, transforms
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.obstacles.obstacles import NONE, Obstacles, box, sphere
-from hyperbit.controller.search import four_list, minimum_switch
+from hyperbit.controller.search import minimum_switch
+from hyperbit.controller.search.lists import four_list
 from hyperbit.controller.search.solution import Solution
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities

@@ -11,10 +11,10 @@ from hyperbit.controller.manipulator.frames import planar
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.manipulator.module import transforms
 from hyperbit.controller.manipulator.vgt import vgt
-from hyperbit.controller.search.matching import put
-from hyperbit.controller.search.segment import Sets, build_segment, motions, room
+from hyperbit.controller.search.lists.matching import put
+from hyperbit.controller.search.lists.segment import Sets, build_segment, motions, room
+from hyperbit.controller.search.lists.two_list import middle
 from hyperbit.controller.search.solver import Solver
-from hyperbit.controller.search.two_list import middle
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, modules, paper_arm, short_arms, spatial_arm
 

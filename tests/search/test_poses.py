@@ -11,13 +11,13 @@ from hyperbit.controller.bench import goal_sets
 from hyperbit.controller.manipulator.frame_kernels import angle_between
 from hyperbit.controller.manipulator.frames import Frame, turned
 from hyperbit.controller.manipulator.manipulator import Manipulator
-from hyperbit.controller.search import two_list
 from hyperbit.controller.search.branch_and_bound import BranchAndBound
+from hyperbit.controller.search.lists import two_list
+from hyperbit.controller.search.lists.two_list import TwoList
 from hyperbit.controller.search.method import METHODS, switch_costs
 from hyperbit.controller.search.solution import Incumbent, SearchTime
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.search.target import SearchTarget
-from hyperbit.controller.search.two_list import TwoList
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, planar_frames, short_arms, spatial_arm
 

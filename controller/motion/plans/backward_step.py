@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.motion.plans.labels import cheapest, judged
-from hyperbit.controller.search.chain import states_of
-from hyperbit.controller.search.near import Late, Neighbours, Pairs, joined
-from hyperbit.controller.search.pairs import Pairing
-from hyperbit.controller.search.serving import Walk, serving, walks
+from hyperbit.controller.search.neighbours.chain import states_of
+from hyperbit.controller.search.neighbours.neighbours import Late, Neighbours, Pairs, joined
+from hyperbit.controller.search.neighbours.pairs import Pairing
+from hyperbit.controller.search.neighbours.serving import Walk, serving, walks
 from hyperbit.controller.search.solution import EPSILON
 
 if TYPE_CHECKING:

@@ -18,11 +18,11 @@ from hyperbit.controller.motion.plans.backward_step import COMPARED, DEEPEST_STE
 from hyperbit.controller.motion.plans.labels import Labels, judged
 from hyperbit.controller.motion.plans.points import TrajectoryPoint
 from hyperbit.controller.obstacles.scene import scene_of
-from hyperbit.controller.search.chain import Places, places_of, states_of
-from hyperbit.controller.search.counts import Counts
-from hyperbit.controller.search.near import Late, Neighbours
-from hyperbit.controller.search.pairs import by_bits
-from hyperbit.controller.search.serving import UpperTips, Walk, serving, upper_tips, walks
+from hyperbit.controller.search.neighbours.chain import Places, places_of, states_of
+from hyperbit.controller.search.neighbours.counts import Counts
+from hyperbit.controller.search.neighbours.neighbours import Late, Neighbours
+from hyperbit.controller.search.neighbours.pairs import by_bits
+from hyperbit.controller.search.neighbours.serving import UpperTips, Walk, serving, upper_tips, walks
 from hyperbit.controller.search.solution import EPSILON
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.search.target import SearchTarget

@@ -20,8 +20,8 @@ from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.motion.plans.cost_to_go import CostToGo
 from hyperbit.controller.motion.plans.labels import cheapest, near_labels
 from hyperbit.controller.motion.plans.points import TrajectoryPoint
-from hyperbit.controller.search.chain import keys_of, states_of
-from hyperbit.controller.search.near import Neighbours, Pairs, joined
+from hyperbit.controller.search.neighbours.chain import keys_of, states_of
+from hyperbit.controller.search.neighbours.neighbours import Neighbours, Pairs, joined
 from hyperbit.controller.search.solution import EPSILON, SearchTime, proves
 from hyperbit.controller.search.solver import Solver
 

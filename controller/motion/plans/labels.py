@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.kernel_types import F1, I1, I2, UNCOUNTED, named
 from hyperbit.controller.obstacles.scene import Scene, for_scenes
-from hyperbit.controller.search.chain import CHAIN, PLACES, Chain, Places, fits, serves, state_of, write_tip
-from hyperbit.controller.search.changes import CHANGED, Changed
-from hyperbit.controller.search.near import Neighbours, Pairs
+from hyperbit.controller.search.neighbours.chain import CHAIN, PLACES, Chain, Places, fits, serves, state_of, write_tip
+from hyperbit.controller.search.neighbours.changes import CHANGED, Changed
+from hyperbit.controller.search.neighbours.neighbours import Neighbours, Pairs
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

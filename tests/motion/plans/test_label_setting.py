@@ -17,7 +17,7 @@ from hyperbit.controller.motion.plans.whole import plan_whole
 from hyperbit.controller.motion.trajectory import Trajectory, through
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.refusals.refusal import Refusal
-from hyperbit.controller.search import counts
+from hyperbit.controller.search.neighbours import counts
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, short_arms, spatial_arm

@@ -13,7 +13,7 @@ from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, I2, UNCOUNT
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.obstacles.scene import Scene, for_scenes, module_collides, set_state
 from hyperbit.controller.search.clock import CHECKED, DESCENT, FINISHED, GROWN, WALL, Clock
-from hyperbit.controller.search.distal_table import DistalSearch, Wanted, build_distal_table, finish
+from hyperbit.controller.search.descent.distal_table import DistalSearch, Wanted, build_distal_table, finish
 from hyperbit.controller.search.method import PaperMethod, StageCosts, Variant, mean_cost, stage_costs
 from hyperbit.controller.search.solution import Incumbent
 from hyperbit.controller.search.target import SearchTarget

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperbit.controller.search.chain import Chain
+from hyperbit.controller.search.neighbours.chain import Chain
 
 Array = NDArray[np.float64]
 

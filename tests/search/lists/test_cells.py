@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hyperbit.controller.search.cells import SortedPoints, grid_of, sort_into_cells
+from hyperbit.controller.search.lists.cells import SortedPoints, grid_of, sort_into_cells
 
 
 @pytest.mark.parametrize("size", [1.0, 1e-290, 1e-313])

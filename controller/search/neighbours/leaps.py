@@ -1,8 +1,8 @@
 """Leaps: all configurations near the previous one, and near others from which the goal is within reach.
 
-A list of all changes that cost little (controller/search/neighbours.py) finds or excludes every configuration near one.
-A long arm reaches nearly everything by few switches. If the list around the previous configuration has nothing for the
-goal, single changes bring the tip near the goal, and lists around those configurations follow.
+A list of all changes that cost little, see `listing`, finds or excludes every configuration near one. A long arm
+reaches nearly everything by few switches. If the list around the previous configuration has nothing for the goal,
+single changes bring the tip near the goal, and lists around those configurations follow.
 """
 
 import numpy as np
@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.kernel_types import F3, I2, UNCOUNTED
 from hyperbit.controller.manipulator.manipulator import Configuration
-from hyperbit.controller.search.chain import (
+from hyperbit.controller.search.clock import CHANGED as CHANGED_ONE
+from hyperbit.controller.search.clock import NEIGHBOUR
+from hyperbit.controller.search.neighbours.chain import (
     CHAIN,
     Chain,
     keys_of,
@@ -21,11 +23,9 @@ from hyperbit.controller.search.chain import (
     state_of,
     states_of,
 )
-from hyperbit.controller.search.changes import CHANGED, Changed, prepare
-from hyperbit.controller.search.clock import CHANGED as CHANGED_ONE
-from hyperbit.controller.search.clock import NEIGHBOUR
-from hyperbit.controller.search.counts import Counts
-from hyperbit.controller.search.near import Neighbours
+from hyperbit.controller.search.neighbours.changes import CHANGED, Changed, prepare
+from hyperbit.controller.search.neighbours.counts import Counts
+from hyperbit.controller.search.neighbours.neighbours import Neighbours
 from hyperbit.controller.search.solution import Incumbent
 from hyperbit.controller.search.target import Problem
 

@@ -12,8 +12,8 @@ from numba import boolean, float32, float64, int64, njit, types
 from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, UNCOUNTED, named
-from hyperbit.controller.search.chain import CHAIN, Chain, moved_back
-from hyperbit.controller.search.segment import compose
+from hyperbit.controller.search.lists.segment import compose
+from hyperbit.controller.search.neighbours.chain import CHAIN, Chain, moved_back
 
 Array = NDArray[np.float64]
 Singles = NDArray[np.float32]

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.search.descent.paths import DescentTables, descend
 from hyperbit.controller.search.method import stage_costs
-from hyperbit.controller.search.paths import DescentTables, descend
 from hyperbit.controller.workspace.densities import Densities
 from hyperbit.controller.workspace.mapping import map_densities
 from hyperbit.controller.workspace.reachability import Levels, levels_of, measure, tables_of

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.obstacles.scene import collides
-from hyperbit.controller.search.leaps import Leaps
 from hyperbit.controller.search.method import switch_costs
+from hyperbit.controller.search.neighbours.leaps import Leaps
 from hyperbit.controller.search.solution import Incumbent
 from hyperbit.controller.search.solver import Solver, search_effort
 from hyperbit.controller.search.target import Problem

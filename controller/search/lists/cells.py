@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, S1, named
 from hyperbit.controller.search.clock import INDEXED
-from hyperbit.controller.search.segment import SIDE, Side
+from hyperbit.controller.search.lists.segment import SIDE, Side
 
 Array = NDArray[np.float64]
 Index32 = NDArray[np.int32]

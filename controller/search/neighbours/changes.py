@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, I2, S1, UNCOUNTED, named
 from hyperbit.controller.obstacles.scene import Scene, for_scenes
-from hyperbit.controller.search.chain import CHAIN, PLACES, Chain, Places, fits, state_of
-from hyperbit.controller.search.segment import compose, invert
+from hyperbit.controller.search.lists.segment import compose, invert
+from hyperbit.controller.search.neighbours.chain import CHAIN, PLACES, Chain, Places, fits, state_of
 
 Array = NDArray[np.float64]
 Singles = NDArray[np.float32]

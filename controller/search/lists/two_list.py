@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
-from hyperbit.controller.search.cells import Cells, Index, filling
 from hyperbit.controller.search.clock import COMPARED
-from hyperbit.controller.search.matching import Matches, Sides, Span, match, put
-from hyperbit.controller.search.segment import (
+from hyperbit.controller.search.lists.cells import Cells, Index, filling
+from hyperbit.controller.search.lists.matching import Matches, Sides, Span, match, put
+from hyperbit.controller.search.lists.segment import (
     Rows,
     Segment,
     Sets,

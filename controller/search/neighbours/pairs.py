@@ -12,7 +12,7 @@ from numba import int64, njit
 from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, S1, UNCOUNTED, named
-from hyperbit.controller.search.chain import Chain
+from hyperbit.controller.search.neighbours.chain import Chain
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

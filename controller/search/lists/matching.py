@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, I2, UNCOUNTED, named
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
-from hyperbit.controller.search.cells import GRID, INDEX, Grid, Index, corner_offsets, write_point
-from hyperbit.controller.search.segment import SIDE, Side, compose
+from hyperbit.controller.search.lists.cells import GRID, INDEX, Grid, Index, corner_offsets, write_point
+from hyperbit.controller.search.lists.segment import SIDE, Side, compose
 from hyperbit.controller.search.solution import EPSILON
 from hyperbit.controller.search.target import QUERY, SearchQuery, reaches
 

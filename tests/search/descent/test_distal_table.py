@@ -11,8 +11,15 @@ from numpy.testing import assert_allclose
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.manipulator.module import transforms
-from hyperbit.controller.search import distal_table as table_module
-from hyperbit.controller.search.distal_table import DistalSearch, Wanted, build_distal_table, finish, lowest, nearest
+from hyperbit.controller.search.descent import distal_table as table_module
+from hyperbit.controller.search.descent.distal_table import (
+    DistalSearch,
+    Wanted,
+    build_distal_table,
+    finish,
+    lowest,
+    nearest,
+)
 from hyperbit.controller.workspace.reachability import tables_of
 from tests.arms import (
     any_frames,

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.obstacles.scene import Scene
-from hyperbit.controller.search.chain import Chain, Places
-from hyperbit.controller.search.changes import Found, room_for_changes
-from hyperbit.controller.search.neighbours import list_near
+from hyperbit.controller.search.neighbours.chain import Chain, Places
+from hyperbit.controller.search.neighbours.changes import Found, room_for_changes
+from hyperbit.controller.search.neighbours.listing import list_near
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

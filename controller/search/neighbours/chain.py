@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, I1, I2, UNCOUNTED, named
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
+from hyperbit.controller.search.lists.segment import compose, motions
 from hyperbit.controller.search.method import costs_between_states
-from hyperbit.controller.search.segment import compose, motions
 from hyperbit.controller.search.target import SearchTarget
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.kernel_types import F1, I2, UNCOUNTED
 from hyperbit.controller.obstacles.scene import Scene, for_scenes
-from hyperbit.controller.search.chain import CHAIN, PLACES, Chain, Places, moved, moved_back, state_of
-from hyperbit.controller.search.changes import (
+from hyperbit.controller.search.neighbours.chain import CHAIN, PLACES, Chain, Places, moved, moved_back, state_of
+from hyperbit.controller.search.neighbours.changes import (
     CHANGED,
     FOUND,
     Changed,

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
-from hyperbit.controller.search.cells import Cells, Index, filling
-from hyperbit.controller.search.matching import Sides, Span
-from hyperbit.controller.search.segment import (
+from hyperbit.controller.search.lists.cells import Cells, Index, filling
+from hyperbit.controller.search.lists.matching import Sides, Span
+from hyperbit.controller.search.lists.segment import (
     Segment,
     Sets,
     Side,
@@ -26,9 +26,9 @@ from hyperbit.controller.search.segment import (
     motions,
     step,
 )
+from hyperbit.controller.search.lists.two_list import BAND_CELLS, TwoList, improve, middle, room_for
 from hyperbit.controller.search.solution import Incumbent
 from hyperbit.controller.search.target import SearchTarget
-from hyperbit.controller.search.two_list import BAND_CELLS, TwoList, improve, middle, room_for
 
 Array = NDArray[np.float64]
 
