@@ -4,8 +4,8 @@ A write to a disk can take seconds, and a thread would take the interpreter's lo
 started as `python -I -S keeper.py`, so this file imports the standard library only. The keeper survives the signals of
 a service manager or a terminal. It ends after its parent, even a killed one, and saves a last time then.
 
-The job `copy` copies a file with one writer to the disk. The job `events` saves the last events of a core, which the
-flight recorder writes to two files in memory, the generations. Each begins with a line of JSON and a pickle of the
+The job `copy` copies a file with one writer to the disk. The job `events` saves the last events of a core. The flight
+recorder writes them to two files in memory, the generations. Each begins with a line of JSON and a pickle of the
 core, the checkpoint. Blocks of entries follow, each a length and a pickle. A new generation replaces the older of the
 two. So together they have the last events, and a state from which these can be replayed. A saved file has MAGIC, a line
 of JSON, and both generations in zlib.

@@ -20,7 +20,10 @@ WIDEST = 0.999 * math.pi / 2  # greatest angle between unit quaternions; beyond 
 
 
 def corner_states(bits: Bits, fixed: Array, moving: Index) -> Index | None:
-    """Returns the states (2^k,) at all ends of the moving actuators, the first most significant; None if one lacks."""
+    """Returns the states (2^k,) with each moving actuator at either end, the first most significant.
+
+    Returns None if the module has no such state for one of them.
+    """
     corners = np.tile(fixed, (1 << len(moving), 1))
     corners[:, moving] = list(product((0.0, 1.0), repeat=len(moving)))
     same = (bits == corners[:, None]).all(axis=2)
