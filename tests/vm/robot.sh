@@ -41,6 +41,14 @@ os.chown(sys.argv[1], 61999, 61999)
 chown 61999:61999 /var/lib/private/hyperbit
 ln -s private/hyperbit /var/lib/hyperbit
 
+# What the version of two services left: it was enabled, and had a folder of counts, a Zenoh configuration and a drop-in.
+mkdir -p /etc/hyperbit /etc/systemd/system/multi-user.target.wants /etc/systemd/system/hyperbit.service.d
+ln -s ../hyperbit.service /etc/systemd/system/multi-user.target.wants/hyperbit.service
+cp /etc/systemd/system/hyperbit.service /etc/systemd/system/hyperbit-executor.service
+mkdir -m 700 /var/lib/private/hyperbit-executor
+touch /var/lib/private/hyperbit-executor/other.switches
+{ echo '// /run/credentials/hyperbit.service/hyperbit.ca.pem'; cat "$project/deploy/zenoh.json5"; } > /etc/hyperbit/zenoh.json5
+
 # The first start compiles for minutes where the processor is emulated. Compile here, for any processor.
 mkdir -p -m 700 /var/cache/private
 export NUMBA_CPU_NAME=generic NUMBA_CACHE_DIR=/var/cache/private/hyperbit-arms/arm/numba

@@ -148,9 +148,18 @@ def test_upgrade_keeps_counts_and_goals_of_the_version_of_one_service() -> None:
     switches, goals = eventually(lambda: found if len((found := robot.ledger())[1]) == 3 else None)
     assert switches[UPGRADED["actuator"]] >= UPGRADED["switches"]
     assert goals[-1]["id"] == "old"
-    assert not Path("/etc/systemd/system/hyperbit.service").exists()
-    assert not Path("/var/lib/private/hyperbit").exists()
     assert [goal["status"] for goal in goals] == ["succeeded"] * 3
+
+
+def test_upgrade_makes_an_instance_of_services_that_had_none() -> None:
+    assert systemctl("is-enabled", PLANNER).strip() == "enabled"
+    for gone in ("hyperbit.service", "hyperbit-executor.service", "multi-user.target.wants/hyperbit.service"):
+        assert not Path("/etc/systemd/system", gone).is_symlink()
+        assert not Path("/etc/systemd/system", gone).exists()
+    assert not Path("/var/lib/private/hyperbit").exists()
+    assert (robot.STATE[EXECUTOR] / "other.switches").exists()
+    assert not Path("/etc/hyperbit/zenoh.json5").exists()
+    assert "/run/credentials/hyperbit@arm.service/" in Path("/etc/hyperbit/arm.json5").read_text()
 
 
 def test_both_run_confined_as_users_of_their_own() -> None:
