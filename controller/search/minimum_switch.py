@@ -1,8 +1,8 @@
 """Minimum switch: the cheapest configuration within the tolerances, with a proof that no cheaper one exists.
 
 The stages improve the incumbent and its lower bound: two lists, matched in the middle; IPOP, if the lists yield no
-configuration; branch and bound, for planar arms; four lists, which find or exclude what two lists leave out; beam
-searches, and two lists around the incumbent, until the deadline.
+configuration; branch and bound for planar arms, or leaps for long ones; four lists, which find or exclude what two
+lists leave out; beam searches, and two lists around the incumbent, until the deadline.
 """
 
 import math

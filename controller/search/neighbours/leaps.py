@@ -58,7 +58,8 @@ class Leaps:
         """Offers the cheapest configuration near the seed, or proves that all cost more."""
         unit = self._chain.least if self._chain.whole else 0.0
         budget = min(self._budget, incumbent.cost - unit)
-        if self._list(problem.seed, problem, budget, incumbent, incumbent.until):
+        known = incumbent.bound >= budget + unit
+        if not known and self._list(problem.seed, problem, budget, incumbent, incumbent.until):
             incumbent.prove(min(budget + unit, incumbent.cost))
 
     def improve(self, problem: Problem, incumbent: Incumbent, until: float) -> None:
