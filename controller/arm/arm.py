@@ -1,7 +1,6 @@
 """Builds the arm from its YAML file, and reports each fault with the path of its field."""
 
 import hashlib
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -80,17 +79,6 @@ class Arm:
         """Greatest number of pixels of one intermediate workspace, of four bytes each; at most MOST_PIXELS."""
         share = self.settings.workspace.memory * 2**20 / 4 / (len(self.manipulator.modules) + 1)
         return max(1, min(MOST_PIXELS, int(share)))
-
-    def weights(self, switches: Mapping[str, int] | None = None) -> NDArray[np.float64]:
-        """Returns the cost of a switch of each actuator, shape (A,).
-
-        `switches` is the number of switches of each actuator so far, by label; 0 if absent.
-        """
-        modules, settings = len(self.manipulator.modules), self.settings.weights
-        place = np.array([int(label.split(".")[0]) - 1 for label in self.manipulator.actuators])
-        own = np.linspace(settings.base, 1.0, modules)[place] * ([entry.weight for entry in self.wiring] or 1.0)
-        worn = np.array([(switches or {}).get(label, 0) for label in self.manipulator.actuators], dtype=float)
-        return np.asarray(own * (1.0 + settings.wear * worn / max(worn.max(), 1.0)))
 
     @property
     def travel_time(self) -> float:

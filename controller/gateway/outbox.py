@@ -64,7 +64,7 @@ class Outbox:
     ) -> None:
         self._prefix, self._lease, self._clock = prefix, lease, clock
         self._ended, self._mark, self._post, self._fatal = ended, mark, post, fatal
-        self._last_reading, self._wait_until = clock(), -float("inf")  # last clock reading, end of a wait [s]
+        self._last_reading, self.wait_until = clock(), -float("inf")  # last clock reading, end of a wait [s]
         self._reached_from = clock() + RECONNECTED  # time at which clients have reconnected [s]
         # Any thread appends, only the thread of the outbox takes. Both are atomic.
         self._first, self._second, self._inherited = deque[Item](), deque[Item](), deque[Item]()
@@ -179,11 +179,11 @@ class Outbox:
     def _stood_still(self) -> bool:
         now = self._clock()
         if now - self._last_reading > self._lease / 2:  # keep-alives are sent four times in a lease
-            self._wait_until = now + RECONNECTED
+            self.wait_until = now + RECONNECTED
             standstill = now - self._last_reading
             log.warning("the process stood still for %.1f s: results wait for %g s", standstill, RECONNECTED)
         self._last_reading = now
-        return now < self._wait_until
+        return now < self.wait_until
 
     def _send(self, target: zenoh.Query | PublishResult | None, key: str, payload: Payload) -> None:
         if key == "diagnostics":

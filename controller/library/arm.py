@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hyperbit.controller.arm import arm as config
+from hyperbit.controller.arm.weights import weights_of
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.settings import ArmSettings
 from hyperbit.controller.armfile.strict import InputFaults
@@ -150,7 +151,7 @@ class Arm:
     @property
     def weights(self) -> Array:
         """Cost of a switch of each actuator, shape (A,)."""
-        return self._arm.weights()
+        return weights_of(self._arm)
 
     @property
     def locked(self) -> dict[str, str]:

@@ -34,9 +34,10 @@ from hyperbit.controller.motion.trajectory import MOST_POINTS
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search import solver as search
 from hyperbit.controller.search.method import METHODS, MINIMUM_SWITCH, Method
-from hyperbit.controller.search.solution import Certificate, SearchTime, Solution, gap
+from hyperbit.controller.search.search_time import TIMEOUT, SearchTime, search_effort, search_time
+from hyperbit.controller.search.solution import Certificate, Solution, gap
 
-GOAL_DEADLINE, PATH_DEADLINE = search.TIMEOUT, WHOLE_TIME
+GOAL_DEADLINE, PATH_DEADLINE = TIMEOUT, WHOLE_TIME
 
 Start: TypeAlias = "ArrayLike | Solution | Path | None"  # a configuration may be text
 
@@ -240,7 +241,7 @@ class Solver:
         try:
             trajectory = unhurried(self._goals(asked, line), pace, line)
             planner = TransitionPlanner(self._search, trajectory, pace)
-            first = search.search_time(point * len(trajectory.times))
+            first = search_time(point * len(trajectory.times))
             means = proof_means() if prove else Means()
             found = plan_whole(planner, before, method, first, whole, means)
         except Refusal as refusal:
@@ -321,11 +322,11 @@ def checked_time(method: str, deadline: Number, effort: Number | None) -> Search
     """
     if effort is None:
         check_search(method, deadline=deadline)
-        return search.search_time(float(deadline))
+        return search_time(float(deadline))
     check_search(method)
     if not 0 < effort < math.inf:
         raise GoalError(f"effort: a positive number is needed, got {effort!r}")
-    return search.search_effort(float(effort))
+    return search_effort(float(effort))
 
 
 def check_search(method: str, **deadlines: Number) -> None:

@@ -57,16 +57,16 @@ class Listener:
     def _on_sample(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr).removeprefix(f"{self._prefix}/").replace("@request", "request", 1)
         if key not in ("arm", "alive", "gone"):
-            self._put(key, sample.payload.to_bytes())
+            self.put(key, sample.payload.to_bytes())
 
     def _on_token(self, sample: zenoh.Sample) -> None:
-        self._put("alive" if sample.kind == zenoh.SampleKind.PUT else "gone", b"")
+        self.put("alive" if sample.kind == zenoh.SampleKind.PUT else "gone", b"")
 
     def _on_reply(self, reply: zenoh.Reply) -> None:
         if reply.ok is not None:
-            self._put("arm", reply.ok.payload.to_bytes())
+            self.put("arm", reply.ok.payload.to_bytes())
 
-    def _put(self, key: str, data: bytes) -> None:
+    def put(self, key: str, data: bytes) -> None:
         item = ReceivedMessage(time.monotonic_ns(), key, data)
         with self._news:
             if self._bytes + len(data) > MOST_WAITING:

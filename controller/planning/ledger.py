@@ -63,7 +63,7 @@ class Ledger:
         self.known = tuple(counts.get(label, 0) for label in actuators)  # number of switches of each actuator so far
         self.owed = owed(path)  # goals that had no result when the ledger was opened
         self._recorded, self._fatal, self._write_every = recorded, fatal, write_every
-        self._file = LedgerFile(path, actuators)
+        self.file = LedgerFile(path, actuators)
         self._queue: SimpleQueue[Record | None] = SimpleQueue()  # None: the end
         self._thread = threading.Thread(target=self._run, name="ledger", daemon=True)
         self._thread.start()
@@ -110,17 +110,17 @@ class Ledger:
             log.exception("the ledger's thread ended")
             self._fatal(f"the ledger's thread ended: {error!r}")
         finally:
-            self._file.close()
+            self.file.close()
 
     def _write(self, records: Sequence[Record]) -> bool:
         for _ in range(2):  # the second time into a new file, if the old one is damaged
             try:
-                self._file.write(records, self.known)
+                self.file.write(records, self.known)
                 self.fault = None
                 return True
             except Exception as error:
-                self._file.close()
-                if not damaged(error) or (renamed := self._file.set_aside()) is None:
+                self.file.close()
+                if not damaged(error) or (renamed := self.file.set_aside()) is None:
                     if self.fault is None:
                         log.error("ledger %s cannot be written, counting continues in memory: %s", self._path, error)
                     self.fault = f"ledger {self._path} cannot be written: {error}"

@@ -99,21 +99,21 @@ class Loop:
         self.ended.set()
         self._core, self._inbox, self._link = core, services.inbox, link
         self._workers, self._services = workers, services
-        self._recorder, (self._clock, self._wall) = recorder, clocks
+        self.recorder, (self._clock, self._wall) = recorder, clocks
         self._numbers = itertools.count(1)  # of arrivals
         self._alive_at = self._clock()  # time of the last round [s]
         self._stood_still = (-math.inf, -math.inf)  # begin of a standstill, end of its requests' arrival [s]
-        self._replies: dict[int, OnReply] = {}
+        self.replies: dict[int, OnReply] = {}
         self.setpoints, self.tips = Mailbox(events.SetpointArrived), Mailbox(events.TipArrived)
-        self._look_at, self._stream_until = 0.0, -math.inf  # time of the next look into them [s]
-        self._wake, self._warnings_at = 0.0, 0.0  # the core steps once, also while no executor answers
+        self.look_at, self._stream_until = 0.0, -math.inf  # time of the next look into them [s]
+        self._wake, self.warnings_at = 0.0, 0.0  # the core steps once, also while no executor answers
         self._warned: tuple[Fault, ...] = ()
         self._closing = False
-        self._thread = threading.Thread(target=self._run, name="planner", daemon=True)
+        self.thread = threading.Thread(target=self._run, name="planner", daemon=True)
 
     def start(self) -> None:
         self.ended.clear()
-        self._thread.start()
+        self.thread.start()
 
     def end_goals(self) -> None:
         self._inbox.post(Quit())
@@ -123,9 +123,9 @@ class Loop:
         """Ends the thread and the connection, and refuses the requests that the core has not answered."""
         self._closing = True
         self._inbox.end_wait()
-        if self._thread.ident is not None:
-            self._thread.join(timeout)
-        for number in list(self._replies):
+        if self.thread.ident is not None:
+            self.thread.join(timeout)
+        for number in list(self.replies):
             self._carry_out(events.Reply(number, events.refused(Refusal(Reason.SHUTTING_DOWN))))
         self._link.close()
 
@@ -151,7 +151,7 @@ class Loop:
         for the GIL for some milliseconds.
         """
         number = arrival.number
-        self._replies[number] = reply
+        self.replies[number] = reply
         self._inbox.events.append(events.Request(arrival, key, message, self._wall()))
         unsent = None
         if key == "stop":
@@ -167,7 +167,7 @@ class Loop:
     def _run(self) -> None:
         try:
             while not self._closing:
-                self._round()
+                self.round()
         except PlannerFailed as failure:
             self._services.fatal(str(failure))
         except BaseException as error:  # also SystemExit, which would end the thread silently
@@ -176,13 +176,13 @@ class Loop:
         finally:
             self.ended.set()
 
-    def _round(self) -> None:
+    def round(self) -> None:
         """Waits for events and handles them.
 
         Posted events come before the link's messages. A request is posted before its stop is sent to the executor. So
         the core knows the request when the executor's answer comes.
         """
-        due = min(self._wake, self._warnings_at, self._look_at)
+        due = min(self._wake, self.warnings_at, self.look_at)
         if self._link.fileno() < 0:
             due = min(due, self._link.retry_at)
         ready = self._inbox.wait(0.0 if self._link.received else max(due - self._clock(), 0.0), self._link)
@@ -200,10 +200,10 @@ class Loop:
         if now >= self._wake:
             self._wake = math.inf
             self._step(events.Tick())
-        if now >= self._look_at:
+        if now >= self.look_at:
             self._look(now)
-        if now >= self._warnings_at:
-            self._warnings_at = now + WARNINGS_EVERY
+        if now >= self.warnings_at:
+            self.warnings_at = now + WARNINGS_EVERY
             warnings = self._warned
             try:
                 warnings = self._services.warnings()
@@ -226,7 +226,7 @@ class Loop:
         setpoints, tips = self.setpoints.take(), self.tips.take()
         if setpoints:
             self._stream_until = now + STREAM_ENDS
-        self._look_at = now + (STREAM_EVERY if now < self._stream_until else LOOK_EVERY)
+        self.look_at = now + (STREAM_EVERY if now < self._stream_until else LOOK_EVERY)
         for event in (*setpoints, *tips):
             self._step(event)
 
@@ -245,14 +245,14 @@ class Loop:
 
     def _record(self, event: events.Event, now: float, wall: float, actions: Sequence[events.Action] | None) -> None:
         """Gives a step to the recorder, until the recorder fails; `actions` are None after an exception."""
-        if self._recorder is None:
+        if self.recorder is None:
             return
         try:
-            self._recorder(event, now, wall, actions)
+            self.recorder(event, now, wall, actions)
             if isinstance(event, events.Tick):  # not after each step: a worker may wait for the GIL
-                self._recorder.flush()
+                self.recorder.flush()
         except Exception:
-            self._recorder = None
+            self.recorder = None
             log.exception("the recording of events has ended")
 
     def _carry_out(self, action: events.Action) -> None:
@@ -273,7 +273,7 @@ class Loop:
             case events.ToExecutor(message):
                 self._link.send(message)
             case events.Reply(number, payload):
-                if (reply := self._replies.pop(number, None)) is not None:
+                if (reply := self.replies.pop(number, None)) is not None:
                     reply(payload)
                 else:
                     log.error("request %d is not known, or was answered before", number)

@@ -10,6 +10,7 @@ import numpy as np
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.arm.description import density, description, drawing, file
+from hyperbit.controller.arm.weights import weights_of
 from hyperbit.controller.flight_recorder import FlightRecorder
 from hyperbit.controller.motion.decoding.goal import Id, check_reach, parse
 from hyperbit.controller.motion.decoding.requests import decode_degrade, decode_fault, decode_jog, decode_obstacles
@@ -58,7 +59,7 @@ def planning(
     the boards.
     """
     known = services.ledger.known
-    weights = arm.weights(dict(zip(arm.manipulator.actuators, known, strict=True)))
+    weights = weights_of(arm, dict(zip(arm.manipulator.actuators, known, strict=True)))
     tables = build_tables(arm, densities, weights, BuildTables(0, arm.locked.astype(np.uint8).tobytes()))
     built, published = build_scene(arm, BuildScene(0, NONE)), services.published.known()
     name, owed = uuid.uuid4().hex[:8], services.ledger.owed

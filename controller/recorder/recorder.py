@@ -99,8 +99,8 @@ class Recorder:
         self._arm, self._folder, self._limits, self._fsync, self._began = arm, folder, limits, fsync, began
         self._clock, self._events = LogClock(), EventLog()
         self._recording: Recording | None = None
-        self._retry_at = 0.0
-        self._description: bytes | None = None
+        self.retry_at = 0.0
+        self.description: bytes | None = None
         self._scene: FoxgloveScene | None = None
         self._drawn: tuple[Any, ...] | None = None
         self._state: tuple[int, Message, bytes] | None = None  # the latest: log time, decoded, encoded
@@ -119,7 +119,7 @@ class Recorder:
             if self._needs_description and time.monotonic() >= self._asked_at + ASK_EVERY:
                 self._asked_at = time.monotonic()
                 listener.ask()
-            self._turn()
+            self.turn()
             beat()
 
     def end_recording(self) -> None:
@@ -153,7 +153,7 @@ class Recorder:
     def _accept_description(self, data: bytes, at: int) -> None:
         """Writes the arm's description if it is new."""
         self._needs_description = False
-        if data == self._description:
+        if data == self.description:
             return
         try:
             arm = msgspec.json.decode(data)
@@ -162,15 +162,15 @@ class Recorder:
             self._say(WARNING, f"the daemon's description of the arm cannot be drawn: {error}", at)
             self._scene = None
         else:
-            self._description, self._drawn = data, None
+            self.description, self._drawn = data, None
             self._write_description(at)
             self._draw()
 
     def _write_description(self, at: int) -> None:
         """Writes the arm's description: a message, the versions as metadata, and the arm's file."""
-        if self._description is None:
+        if self.description is None:
             return
-        arm = msgspec.json.decode(self._description)
+        arm = msgspec.json.decode(self.description)
         file = arm.get("file") or {}
         values = {
             "arm": self._arm,
@@ -194,7 +194,7 @@ class Recorder:
             return
         recording = self._recording
         self._attempt(lambda: add_description(recording))
-        self._write("arm", "arm", self._description, at, at)
+        self._write("arm", "arm", self.description, at, at)
 
     def _draw(self) -> None:
         """Writes scene and frames if the arm's shape, target or obstacles have changed."""
@@ -244,7 +244,7 @@ class Recorder:
         if (recording := self._open(at)) is not None:
             self._attempt(lambda: recording.write(f"hyperbit/{self._arm}/{key}", kind, data, at, sent))
 
-    def _turn(self) -> None:
+    def turn(self) -> None:
         """Flushes data that is due, and ends a recording that has reached its limits."""
         recording, now = self._recording, self._clock.now()
         if recording is None or recording.begun is None:
@@ -258,7 +258,7 @@ class Recorder:
 
     def _open(self, at: int) -> Recording | None:
         """Returns the recording; begins one if there is none, except within RETRY of a disk failure."""
-        if self._recording is not None or time.monotonic() < self._retry_at:
+        if self._recording is not None or time.monotonic() < self.retry_at:
             return self._recording
         try:
             self._recording = Recording(self._folder.new(time.time()), fsync=self._fsync)
@@ -269,7 +269,7 @@ class Recorder:
         self._began(self._recording.path)
         self._drawn = None
         self._write_description(at)
-        if self._state is not None and self._description is not None:
+        if self._state is not None and self.description is not None:
             heard_at, state, data = self._state
             self._write("state", "state", data, max(at, heard_at), published(state, at))
             self._draw()
@@ -286,7 +286,7 @@ class Recorder:
         recording, self._recording = self._recording, None
         where = "" if recording is None else f"{recording.path}: "
         log.error("%scannot be written: %s; next attempt in %g s", where, error.strerror or error, RETRY)
-        self._retry_at = time.monotonic() + RETRY
+        self.retry_at = time.monotonic() + RETRY
         if recording is not None:
             recording.abandon()
 

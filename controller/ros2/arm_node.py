@@ -161,7 +161,7 @@ class ArmNode:
             "transform": {"translation": {}, "rotation": {"w": 1.0}},
         }
         self._fixed.publish({"transforms": [base, tip]})
-        self._health.publish(messages.diagnostics(str(self._arm["name"]), state, told, alive=self._alive))
+        self.health.publish(messages.diagnostics(str(self._arm["name"]), state, told, alive=self._alive))
         self._tell_dropped()
         if told is not None:
             self._tell_refused(msgspec.convert(told.get("setpoint", {}), SetpointCounts))
@@ -202,7 +202,7 @@ class ArmNode:
         self._frames = self._node.publisher("/tf", "tf2_msgs/msg/TFMessage", qos.TF)
         self._fixed = self._node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", qos.TF_STATIC)
         self._pictures = self._node.publisher("visualization_marker_array", "visualization_msgs/msg/MarkerArray")
-        self._health = self._node.publisher("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+        self.health = self._node.publisher("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
         self._robot = self._node.publisher("robot_description", "std_msgs/msg/String", qos.LATCHED)
 
     def _actuator_goal(self, goal: Any) -> Fields:

@@ -30,8 +30,8 @@ class Bridge:
     ) -> None:
         self._listener, self._client, self._session = listener, client, session
         self._book, self._settings = book, settings
-        self._node: ArmNode | None = None
-        self._description = b""
+        self.node: ArmNode | None = None
+        self.description = b""
         self._latest: dict[str, dict[str, Any]] = {}  # the last `state` and `diagnostics`
         self._new_state = False
         self._told = ""  # the last error that was logged
@@ -49,13 +49,13 @@ class Bridge:
 
     def close(self) -> None:
         """Ends the node and aborts its goals."""
-        if self._node is not None:
-            self._node.close()
-            self._node = None
+        if self.node is not None:
+            self.node.close()
+            self.node = None
 
     def receive_message(self, item: ReceivedMessage) -> None:
         """Accepts a message of the arm. Raises UNEXPECTED and changes nothing if the message has another form."""
-        node = self._node
+        node = self.node
         match item.key:
             case "arm":
                 self._describe(item.data)
@@ -63,7 +63,7 @@ class Bridge:
                 if node is not None:
                     node.receive_alive(alive=item.key == "alive")
                 self._asked = -ASK_EVERY if item.key == "alive" else self._asked
-                self._description = b"" if item.key == "alive" else self._description
+                self.description = b"" if item.key == "alive" else self.description
             case "state":
                 state = msgspec.json.decode(item.data, type=dict[str, Any])
                 msgspec.convert(state, State)
@@ -71,7 +71,7 @@ class Bridge:
                     node.receive_state(state)
                 before = self._latest.get("state", {})
                 if state.get("obstacles") != before.get("obstacles"):  # the description has the new ones
-                    self._description = b""
+                    self.description = b""
                 self._latest["state"], self._new_state = state, True
             case "diagnostics":
                 self._latest["diagnostics"] = msgspec.json.decode(item.data, type=dict[str, Any])
@@ -80,20 +80,20 @@ class Bridge:
 
     def tick(self, now: float) -> None:
         """Publishes what is new or due; `now` [s]."""
-        if not self._description and now >= self._asked + ASK_EVERY:
+        if not self.description and now >= self._asked + ASK_EVERY:
             self._asked = now
             self._listener.ask()
-        if self._node is None:
+        if self.node is None:
             return
-        self._node.poll(now)
+        self.node.poll(now)
         if (state := self._latest.get("state")) is None:
             return
         if self._new_state:
             self._new_state = False
-            self._attempt(self._node.publish_state, state)
+            self._attempt(self.node.publish_state, state)
         if now >= self._slow + SLOW:
             self._slow = now
-            self._attempt(self._node.publish_slowly, state, self._latest.get("diagnostics"))
+            self._attempt(self.node.publish_slowly, state, self._latest.get("diagnostics"))
 
     def _attempt(self, function: Callable[..., None], *arguments: Any) -> None:
         """Calls a function. Reports the first message that has another form than the daemon's; goes on after each."""
@@ -107,12 +107,12 @@ class Bridge:
     def _describe(self, data: bytes) -> None:
         """Accepts the arm's description. Another arm needs a new node; other obstacles do not."""
         arm = msgspec.json.decode(data, type=dict[str, Any])
-        if self._node is not None and self._node.describes(arm):
-            self._node.receive_obstacles(arm)
+        if self.node is not None and self.node.describes(arm):
+            self.node.receive_obstacles(arm)
         else:
             node = ArmNode(self._session, self._client, arm, self._book, self._settings)
             self.close()
             node.open()
-            self._node = node
+            self.node = node
             log.info("the arm %s is node %s on domain %d", arm["name"], node.name, self._settings.domain)
-        self._description = data
+        self.description = data

@@ -1,19 +1,18 @@
 """The incumbent of a search with its lower bound and deadline; the solution of a goal and its certificate."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
 from hyperbit.controller.manipulator.frames import Array, Frame
 from hyperbit.controller.manipulator.manipulator import Configuration
-from hyperbit.controller.search.clock import WALL, Clock, WorkClock
+from hyperbit.controller.search.clock import WALL, Clock
+from hyperbit.controller.search.search_time import UNFOUND
 
 Certificate = Literal["optimal", "bound", "unreachable", "unknown"]
 
-UNFOUND = 1.0  # [s] for a goal that is not reached in the first time, without a deadline or if others wait
 # Sums of the same weights differ by rounding. Costs that differ by a smaller share count as equal.
 EPSILON = 1e-9
 
@@ -21,27 +20,6 @@ EPSILON = 1e-9
 def proves(bound: float, cost: float) -> bool:
     """Returns whether a lower bound proves that a cost is optimal."""
     return bound >= cost * (1 - EPSILON)
-
-
-class SearchTime(NamedTuple):
-    """How long one minimum-switch search may take, from its start [s]. A proof ends it sooner."""
-
-    first: float  # time in any case, except for `most`
-    per_switch: float = 0.0  # further time for each switch that, by the lower bound, may still be saved
-    unfound: float = 0.0  # time as long as no configuration within the tolerances is found
-    most: float = math.inf  # the deadline
-    by_work: bool = False  # whether all times are work, see WorkClock
-
-    def clock(self) -> Clock:
-        return WorkClock() if self.by_work else WALL
-
-    def allowed(self, gap: float) -> float:
-        """Returns the time of a search [s] for the number of switches that may still be saved.
-
-        The gap is infinite if no configuration is found.
-        """
-        found = self.first + gap * self.per_switch if gap < math.inf else max(self.first, self.unfound)
-        return min(found, self.most)
 
 
 class Incumbent:

@@ -20,14 +20,14 @@ from hyperbit.controller.search.lists.two_list import TwoList
 from hyperbit.controller.search.method import MINIMUM_SWITCH, Method, cost_of_switches, switch_costs
 from hyperbit.controller.search.minimum_switch import MinimumSwitch
 from hyperbit.controller.search.neighbours.chain import Chain, chain_of
-from hyperbit.controller.search.solution import EPSILON, UNFOUND, Incumbent, SearchTime, Solution
+from hyperbit.controller.search.search_time import TIMEOUT, SearchTime, search_time
+from hyperbit.controller.search.solution import EPSILON, Incumbent, Solution
 from hyperbit.controller.search.target import Problem, SearchTarget, distance
 from hyperbit.controller.workspace.densities import Densities
 from hyperbit.controller.workspace.hull import build_hull
 
 Vector = NDArray[np.float64]
 
-TIMEOUT = 0.05  # [s]
 CANDIDATE_ROWS = 1 << 12  # rows of each half among which candidates are matched
 
 
@@ -56,14 +56,14 @@ class Solver:
         obstacles of `clearance` even if the previous configuration is not.
         """
         self.manipulator = manipulator
-        self.clearance, self._scene = clearance, scene_of(manipulator, clearance)
+        self.clearance, self.scene = clearance, scene_of(manipulator, clearance)
         self.densities = densities
         own = np.ones(len(manipulator.actuators)) if weights is None else np.asarray(weights, dtype=float)
         self.weights, self.least_weight = manipulator.per_module(own), float(own.min())
         self.mean_weight = float(own.mean())
         multiples = own / own.min()
         self.whole_weights = bool(np.all(np.abs(multiples - np.round(multiples)) < EPSILON / 10))
-        self._paths = Paths(manipulator, densities)
+        self.paths = Paths(manipulator, densities)
         self._hull = build_hull(manipulator)
         self._to_base = inverse(manipulator.base)
 
@@ -73,20 +73,20 @@ class Solver:
         It shares tables and memory with this solver, so only one of the two may search at a time.
         """
         other = copy(self)
-        other.clearance, other._scene = clearance, scene_of(self.manipulator, clearance)
+        other.clearance, other.scene = clearance, scene_of(self.manipulator, clearance)
         return other
 
     def another(self) -> "Solver":
         """Returns a solver with the same tables but its own memory. Both may search at the same time."""
         other = copy(self)
-        for memory in ("_minimum", "_candidate_lists"):
+        for memory in ("minimum", "_candidate_lists"):
             vars(other).pop(memory, None)
-        other._scene = scene_of(self.manipulator, self.clearance)
+        other.scene = scene_of(self.manipulator, self.clearance)
         return other
 
     def prepare(self) -> None:
         """Allocates the memory of minimum-switch searches, so that the first searches do not wait for it."""
-        self._minimum.claim()
+        self.minimum.claim()
 
     def expect(self, previous: ArrayLike, tolerance: float) -> Iterator[None]:
         """Prepares a minimum-switch search from a configuration (B,), step by step, before its goal is known.
@@ -95,7 +95,7 @@ class Solver:
         """
         seed = np.asarray(previous, dtype=np.int64)
         costs = switch_costs(self.manipulator, seed, self.weights)
-        return self._minimum.expect(seed, costs, tolerance)
+        return self.minimum.expect(seed, costs, tolerance)
 
     def target(self, goal: ArrayLike, tolerance: float, angle_tolerance: float = math.inf) -> SearchTarget:
         """Returns a goal as the target of searches by this solver, among its present obstacles.
@@ -122,7 +122,7 @@ class Solver:
             )
         weight = tolerance / angle_tolerance if angle_tolerance < math.pi else 0.0  # both tolerances count alike
         local = self._to_base @ frame
-        return SearchTarget(local, frame, self.manipulator, tolerance, angle_tolerance, weight, self._scene)
+        return SearchTarget(local, frame, self.manipulator, tolerance, angle_tolerance, weight, self.scene)
 
     def solve(
         self,
@@ -156,13 +156,13 @@ class Solver:
             incumbent.offer(seed.copy(), 0.0, 0.0)
         elif method == MINIMUM_SWITCH:
             costs = switch_costs(self.manipulator, seed, self.weights)
-            self._minimum.improve(Problem(target, seed, costs, self._unreachable(target)), incumbent)
+            self.minimum.improve(Problem(target, seed, costs, self._unreachable(target)), incumbent)
         else:
-            best = self._paths.follow(target, seed, method, clock)
+            best = self.paths.follow(target, seed, method, clock)
             if target.hard and not self.feasible(target, best) and not self._unreachable(target):
                 incumbent.offer(best, np.inf, target.square(self.manipulator.tip(best)))
                 incumbent.extend()  # densities have no orientations
-                self._minimum.repair(target, incumbent)
+                self.minimum.repair(target, incumbent)
                 best = incumbent.configuration
             incumbent = Incumbent(best, incumbent.until)
         seconds, effort = WALL.now() - started, round((clock.now() - began) / EFFORT, 3) if allowed.by_work else None
@@ -233,20 +233,5 @@ class Solver:
         return chain_of(self.manipulator, self.weights, self.least_weight, self.whole_weights)
 
     @cached_property
-    def _minimum(self) -> MinimumSwitch:
-        return MinimumSwitch(self.manipulator, self._hull, self._paths, self.chain)
-
-
-def search_time(first: float, per_switch: float = 0.0, deadline: float | None = None) -> SearchTime:
-    """Returns the time of a search that goes on until a deadline as long as nothing is found; None: until UNFOUND."""
-    if deadline is None:
-        return SearchTime(first, per_switch, UNFOUND)
-    return SearchTime(first, per_switch, deadline, deadline)
-
-
-def search_effort(effort: float) -> SearchTime:
-    """Returns the work of a search that goes on until that of UNFOUND as long as nothing is found.
-
-    One unit of `effort` takes about EFFORT seconds on an ordinary computer.
-    """
-    return search_time(effort * EFFORT)._replace(by_work=True)
+    def minimum(self) -> MinimumSwitch:
+        return MinimumSwitch(self.manipulator, self._hull, self.paths, self.chain)

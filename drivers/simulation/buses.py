@@ -14,7 +14,7 @@ from hyperbit.drivers.simulation.firmware import SimulatedBoard, Wired
 from hyperbit.drivers.simulation.variants import STANDARD, Variant, as_wired
 
 ORDINARY = 0.5  # travel time of an actuator without faults, as a fraction of the longest travel time
-_LEAST_PULSE = 0.005  # [s] for which one of two coils must be energised
+LEAST_PULSE = 0.005  # [s] for which one of two coils must be energised
 
 
 class SimulatedBuses:
@@ -45,22 +45,22 @@ class SimulatedBuses:
         self._take, self._report = send, report
         self._off = set[str]()  # buses on which no frame passes
         self._booted = False
-        self._actuators = {c.actuator: build_actuator(c, timing) for c in wiring.channels}
+        self.actuators = {c.actuator: build_actuator(c, timing) for c in wiring.channels}
         self._interlocks = {lock.name: lock for lock in wiring.interlocks}
         self._boards: dict[str, dict[int, SimulatedBoard]] = {bus.name: {} for bus in wiring.buses}
-        self._by_name: dict[str, SimulatedBoard] = {}
+        self.by_name: dict[str, SimulatedBoard] = {}
         listed = {(entry.bus, entry.node): entry for entry in wiring.nodes}
-        for (bus, node), here in wire(wiring, self._actuators).items():
+        for (bus, node), here in wire(wiring, self.actuators).items():
             variant = (variants or {}).get(f"{bus}/{node}", STANDARD)
             if (bus, node) in listed:
                 variant = as_wired(variant, listed[bus, node], wiring.error_state)
             board = SimulatedBoard(node, here, partial(self._send, bus), variant)
-            self._boards[bus][node] = self._by_name[f"{bus}/{node}"] = board
+            self._boards[bus][node] = self.by_name[f"{bus}/{node}"] = board
         for name in variants or {}:
             self.board(name)
         for lock in wiring.interlocks:
             self._boards[lock.bus][lock.node].contacts[lock.input] = 1 ^ lock.inverted
-        self._due = dict.fromkeys(self._by_name.values(), 0.0)
+        self._due = dict.fromkeys(self.by_name.values(), 0.0)
 
     def receive(self, bus: str, frame: Frame, now: float) -> None:
         """Passes a data or remote frame with an 11 bit identifier to the boards of a bus; `now` in [s]."""
@@ -83,7 +83,7 @@ class SimulatedBuses:
         self._now = now
         if not self._booted:
             self._booted = True
-            for board in self._by_name.values():
+            for board in self.by_name.values():
                 board.power_on(now)
         for board, due in self._due.items():
             if due <= now:
@@ -98,35 +98,35 @@ class SimulatedBuses:
 
     def positions(self) -> list[float]:
         """Returns the position of each actuator at the last call, 0 contracted to 1 extended, shape (A,)."""
-        return [actuator.position_at(self._now) for actuator in self._actuators.values()]
+        return [actuator.position_at(self._now) for actuator in self.actuators.values()]
 
     def drives(self) -> list[int]:
         """Returns the end to which each valve drives its actuator, 0 or 1, shape (A,)."""
-        return [actuator.driven for actuator in self._actuators.values()]
+        return [actuator.driven for actuator in self.actuators.values()]
 
     def switches(self) -> list[int]:
         """Returns the number of switches of each valve, shape (A,)."""
-        return [actuator.switches for actuator in self._actuators.values()]
+        return [actuator.switches for actuator in self.actuators.values()]
 
     def coils(self) -> list[tuple[int, int]]:
         """Returns whether the coils `on` and `off` of each actuator are energised, shape (A, 2)."""
-        return [actuator.coils for actuator in self._actuators.values()]
+        return [actuator.coils for actuator in self.actuators.values()]
 
     def both_on(self) -> list[int]:
         """Returns how often both coils of each actuator were energised at once, shape (A,)."""
-        return [actuator.both_on for actuator in self._actuators.values()]
+        return [actuator.both_on for actuator in self.actuators.values()]
 
     def longest_pulses(self) -> list[float]:
         """Returns the longest pulse of one of two coils of each actuator, shape (A,) [s]."""
-        return [actuator.longest_pulse for actuator in self._actuators.values()]
+        return [actuator.longest_pulse for actuator in self.actuators.values()]
 
     @property
     def labels(self) -> list[str]:
-        return list(self._actuators)
+        return list(self.actuators)
 
     @property
     def names(self) -> list[str]:
-        return list(self._by_name)
+        return list(self.by_name)
 
     @property
     def buses(self) -> list[str]:
@@ -138,9 +138,9 @@ class SimulatedBuses:
 
     def board(self, name: str) -> SimulatedBoard:
         """Returns a board by its name, e.g. "can0/5". Raises KeyError if there is no such board."""
-        if name not in self._by_name:
-            raise KeyError(f"no board {name}, there are {', '.join(self._by_name)}")
-        return self._by_name[name]
+        if name not in self.by_name:
+            raise KeyError(f"no board {name}, there are {', '.join(self.by_name)}")
+        return self.by_name[name]
 
     # --- faults, and their ends
 
@@ -203,11 +203,11 @@ class SimulatedBuses:
     @contextmanager
     def actuator(self, label: str) -> Iterator[Actuator]:
         """Yields an actuator at the time of the last call, for a change; then boards read inputs. Raises KeyError."""
-        if label not in self._actuators:
-            raise KeyError(f"no actuator {label}, there are {', '.join(self._actuators)}")
+        if label not in self.actuators:
+            raise KeyError(f"no actuator {label}, there are {', '.join(self.actuators)}")
         self.step(self._now)
-        self._actuators[label].step(self._now)
-        yield self._actuators[label]
+        self.actuators[label].step(self._now)
+        yield self.actuators[label]
         for board in self._due:
             board.step(self._now)
             self._due[board] = board.timer
@@ -224,7 +224,7 @@ def build_actuator(channel: Channel, timing: Timing) -> Actuator:
         channel.actuator,
         ORDINARY * to_extended,
         ORDINARY * to_contracted,
-        least_pulse=None if single else _LEAST_PULSE,
+        least_pulse=None if single else LEAST_PULSE,
         rest=EXTENDED if single and "output" in channel.inverted else CONTRACTED,
         inverted=("input_contracted" in channel.inverted, "input" in channel.inverted),
     )

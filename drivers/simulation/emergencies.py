@@ -26,10 +26,10 @@ class Emergencies:
         self._logs_ends = logs_ends
         self._objects = objects
         self._send = send
-        self._present: dict[int, int] = {}  # bits of 1001h by code
+        self.present: dict[int, int] = {}  # bits of 1001h by code
 
     def reset(self) -> None:
-        self._present.clear()
+        self.present.clear()
         self._set_register()
 
     def restore(self, errors: Iterable[StandingError]) -> None:
@@ -39,14 +39,14 @@ class Emergencies:
 
     def report(self, code: int, register: int | None = None) -> None:
         """Starts an error and sends its emergency, unless the error stands already."""
-        if code not in self._present:
+        if code not in self.present:
             self._note(code, _register(code) if register is None else register)
             self._tell(code)
 
     def recover(self, code: int) -> None:
         """Ends a standing error, and sends the emergency 0000h."""
-        if code in self._present:
-            del self._present[code]
+        if code in self.present:
+            del self.present[code]
             self._set_register()
             if self._logs_ends:
                 self._log(_ERROR_NUMBERS.get(code, 0) << 24)
@@ -57,7 +57,7 @@ class Emergencies:
             self._objects.set_number(0x1003, sub, 0)
 
     def _note(self, code: int, register: int) -> None:
-        self._present[code] = register
+        self.present[code] = register
         self._log((_ERROR_NUMBERS.get(code, 0) << 24 | code) if self._logs_ends else code)
         self._set_register()
 
@@ -71,7 +71,7 @@ class Emergencies:
 
     def _set_register(self) -> int:
         register = 0
-        for bits in self._present.values():
+        for bits in self.present.values():
             register |= bits
         self._objects.set_number(0x1001, 0, register)
         return register

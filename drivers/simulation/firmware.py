@@ -63,25 +63,25 @@ class SimulatedBoard:
         self.ignored = 0  # number of frames that were not understood
         # levels of the pins before and after each START that made it operational
         self.started: list[tuple[int, int]] = []
-        self.emergencies = Emergencies(self.objects, self._send_emergency, logs_ends=variant.logs_ends)
+        self.emergencies = Emergencies(self.objects, self.send_emergency, logs_ends=variant.logs_ends)
         self._bus = send
         identity = [self.objects.number(0x1018, sub) for sub in range(1, 5)]
         self.lss = LssSlave(identity, node, self.send_message)
-        self._outputs = SimulatedOutputs(self.objects, variant)
-        self._pdos = Pdos(self.objects, self._outputs, self.emergencies, self.send_message, variant.pads)
+        self.outputs = SimulatedOutputs(self.objects, variant)
+        self.pdos = Pdos(self.objects, self.outputs, self.emergencies, self.send_message, variant.pads)
         self._read_node()
         self._requests: deque[tuple[float, bytes]] = deque()  # SDO requests, and the times of their answers
         self._boots_at = math.inf
-        self._now = 0.0
-        self._inputs = 0
+        self.now = 0.0
+        self.inputs = 0
         for one in self.wired:
             if one.shared:  # another board may move the actuator until it arrives
                 one.actuator.observers.append(self._observe)
 
     def _read_node(self) -> None:
         self.node = node = self.objects.node = self.lss.node
-        self._sdo = self._sdo_server()
-        self._supervision = Supervision(node, self.objects, self.send_message, self._lose_master, self._hear_master)
+        self.sdo = self._sdo_server()
+        self.supervision = Supervision(node, self.objects, self.send_message, self._lose_master, self._hear_master)
 
     def _sdo_server(self) -> SdoServer:
         server = SdoServer(  # type: ignore[no-untyped-call]
@@ -92,16 +92,16 @@ class SimulatedBoard:
 
     def power_on(self, now: float) -> None:
         """Starts with all outputs off."""
-        self._now = now
+        self.now = now
         self._start()
 
     def power_cut(self, now: float) -> None:
         """Cuts the supply of board and actuators; springs return their actuators."""
-        self._now = now
+        self.now = now
         self.state = None
         self._boots_at = math.inf
         self._forget()
-        self._drive()
+        self.drive()
 
     def send_message(self, cob_id: int, data: bytes) -> None:
         """Sends a frame, unless the board is disconnected."""
@@ -113,23 +113,23 @@ class SimulatedBoard:
         return self.state is not None or self._boots_at < math.inf
 
     def lose_tpdo(self) -> None:
-        self._pdos.losing += 1
+        self.pdos.losing += 1
 
     @property
     def pins(self) -> int:
         """Levels of the output pins, to which the coils are wired; bit k is output k."""
-        return self._outputs.pins(self.state) if self.powered else 0
+        return self.outputs.pins(self.state) if self.powered else 0
 
     @property
     def timer(self) -> float:
         """Time when `step` must be called at the latest [s]."""
         answer = self._requests[0][0] if self._requests else math.inf
         actuators = [wired.actuator.due for wired in self.wired]
-        return min(self._boots_at, answer, self._supervision.due, self._pdos.due, *actuators)
+        return min(self._boots_at, answer, self.supervision.due, self.pdos.due, *actuators)
 
     def step(self, now: float) -> None:
         """Advances to `now` [s]: moves actuators, sends and checks heartbeats, answers delayed requests."""
-        self._now = now
+        self.now = now
         for wired in self.wired:
             wired.actuator.step(now)
         if now >= self._boots_at:
@@ -139,38 +139,38 @@ class SimulatedBoard:
         self._read_inputs()
         while self._requests and self._requests[0][0] <= now:
             self._serve(self._requests.popleft()[1])
-        self._supervision.step(now, self.state)
-        if now >= self._pdos.sync_due:
-            self._pdos.forget()
+        self.supervision.step(now, self.state)
+        if now >= self.pdos.sync_due:
+            self.pdos.forget()
             self._fall(_SYNC_LOST)
-        self._pdos.repeat(now)
+        self.pdos.repeat(now)
 
     def receive(self, cob_id: int, data: bytes, now: float) -> None:
         """Takes a frame with an 11 bit identifier from the bus; `now` in [s]."""
-        self._now = now
+        self.now = now
         if self.state is None or self.silent:
             return
         if cob_id == cia301.NMT:
             if len(data) == 2 and data[1] in (0, self.node):
-                self._obey(data[0])
+                self.obey(data[0])
         elif cob_id == self.objects.number(0x1005) & 0x7FF:
-            if self.state is State.OPERATIONAL and self._pdos.sync(data, now):
-                self._drive()
+            if self.state is State.OPERATIONAL and self.pdos.sync(data, now):
+                self.drive()
         elif cob_id == cia301.SDO_REQUEST + self.node:
             self._request(data)
         elif cob_id == lss.REQUEST:
             self.lss.receive(data)
         elif cob_id & ~0x7F in (cia301.HEARTBEAT, cia301.HEARTBEAT | cia301.REMOTE):
-            self._supervision.hear(cob_id, data, now, self.state)
-        elif self.state is State.OPERATIONAL and self._pdos.receive(cob_id, data, now):
-            self._drive()
+            self.supervision.hear(cob_id, data, now, self.state)
+        elif self.state is State.OPERATIONAL and self.pdos.receive(cob_id, data, now):
+            self.drive()
 
     def _forget(self) -> None:
-        self._sdo = self._sdo_server()
-        self._supervision.reset()
-        self._pdos.forget()
+        self.sdo = self._sdo_server()
+        self.supervision.reset()
+        self.pdos.forget()
         self._requests.clear()
-        self._inputs = 0
+        self.inputs = 0
         self.emergencies.reset()
 
     def _start(self) -> None:
@@ -181,22 +181,22 @@ class SimulatedBoard:
         self._forget()
         self.state = None
         self.objects.reset()
-        self._outputs.recover()
-        self._boots_at = self._now + self.variant.boot_time
-        self._drive()
-        if self._boots_at <= self._now:
+        self.outputs.recover()
+        self._boots_at = self.now + self.variant.boot_time
+        self.drive()
+        if self._boots_at <= self.now:
             self._boot(0x1000, 0xFFFF)
 
     def _boot(self, first_object: int, last_object: int) -> None:
         self._forget()
         self.objects.reset(first_object, last_object)
-        self._pdos.configure()
+        self.pdos.configure()
         after_power_on, self._boots_at = self._boots_at < math.inf, math.inf
         self.state = State.PRE_OPERATIONAL
-        self._drive()
+        self.drive()
         self._read_inputs()
         self.send_message(cia301.HEARTBEAT + self.node, bytes([State.BOOT_UP]))
-        self._supervision.begin(self._now)
+        self.supervision.begin(self.now)
         if after_power_on:
             for error in self.variant.errors:
                 self.emergencies.report(*error)
@@ -210,49 +210,49 @@ class SimulatedBoard:
             if not self.variant.answer_delay:
                 self._serve(data)
             elif len(self._requests) < _MOST_REQUESTS:
-                self._requests.append((self._now + self.variant.answer_delay, data))
+                self._requests.append((self.now + self.variant.answer_delay, data))
 
     def _serve(self, data: bytes) -> None:
         try:
-            self._sdo.on_request(0, data, self._now)  # type: ignore[no-untyped-call]
+            self.sdo.on_request(0, data, self.now)  # type: ignore[no-untyped-call]
         except (struct.error, TypeError):  # the server fails on a segment without a transfer
             self.ignored += 1
-        if len(self._sdo._buffer or b"") > _MOST_SEGMENTS:
-            self._sdo._buffer = bytearray()
-            self._sdo.abort(_OUT_OF_MEMORY)  # type: ignore[no-untyped-call]
+        if len(self.sdo._buffer or b"") > _MOST_SEGMENTS:
+            self.sdo._buffer = bytearray()
+            self.sdo.abort(_OUT_OF_MEMORY)  # type: ignore[no-untyped-call]
 
-    def _obey(self, order: int) -> None:
+    def obey(self, order: int) -> None:
         if order == Command.START:
             if self.variant.starts:
-                self._enter(State.OPERATIONAL)
+                self.enter(State.OPERATIONAL)
         elif order == Command.STOP:
-            self._enter(State.STOPPED)
+            self.enter(State.STOPPED)
         elif order == Command.PRE_OPERATIONAL:
-            self._enter(State.PRE_OPERATIONAL)
+            self.enter(State.PRE_OPERATIONAL)
         elif order == Command.RESET_NODE:
             self._start()
         elif order == Command.RESET_COMMUNICATION:
             if not self.variant.keeps_outputs:
                 self.objects.reset(self.variant.output_object, self.variant.output_object)
-                self._outputs.recover()
+                self.outputs.recover()
             self._boot(0x1000, 0x1FFF)
         else:
             self.ignored += 1
 
-    def _enter(self, state: State) -> None:
+    def enter(self, state: State) -> None:
         if state is self.state:
             return
         before, self.state = self.pins, state
-        self._pdos.forget()
+        self.pdos.forget()
         if state is State.STOPPED:
-            self._outputs.fail_safe()
+            self.outputs.fail_safe()
         if state is State.OPERATIONAL:
-            self._outputs.recover()
+            self.outputs.recover()
             self.started.append((before, self.pins))
-        self._drive()
+        self.drive()
         if state is State.OPERATIONAL:
             self.emergencies.recover(_SYNC_LOST)
-            self._pdos.start(self._now)
+            self.pdos.start(self.now)
 
     def _hear_master(self) -> None:
         if not self.variant.keeps_loss:
@@ -264,14 +264,14 @@ class SimulatedBoard:
     def _fall(self, code: int) -> None:
         """Begins the error state, and enters the NMT state of 1029h."""
         self.emergencies.report(code)
-        self._outputs.fail_safe()
-        self._drive()
+        self.outputs.fail_safe()
+        self.drive()
         if (behaviour := self.objects.number(0x1029, 1)) == 0 and self.state is State.OPERATIONAL:
-            self._enter(State.PRE_OPERATIONAL)
+            self.enter(State.PRE_OPERATIONAL)
         elif behaviour == 2:
-            self._enter(State.STOPPED)
+            self.enter(State.STOPPED)
 
-    def _drive(self) -> None:
+    def drive(self) -> None:
         levels = self.pins
         for actuator, output, _, output_off, _, inverted, _ in self.wired:
             if output is None:
@@ -281,21 +281,21 @@ class SimulatedBoard:
                 off = levels >> output_off & 1
                 if self.powered:
                     on, off = on ^ inverted[0], off ^ inverted[1]
-            actuator.drive(on, self._now, off)
+            actuator.drive(on, self.now, off)
 
     def _observe(self) -> None:
         if self.state is not None:
             self._read_inputs()
 
     def _read_inputs(self) -> None:
-        before, self._inputs = self._inputs, self._sense()
-        if self._inputs == before:
+        before, self.inputs = self.inputs, self._sense()
+        if self.inputs == before:
             return
-        changed = {sub: (before ^ self._inputs) >> 8 * (sub - 1) & 0xFF for sub in self.objects.subs(_INPUTS)}
+        changed = {sub: (before ^ self.inputs) >> 8 * (sub - 1) & 0xFF for sub in self.objects.subs(_INPUTS)}
         for sub in changed:
-            self.objects.set_number(_INPUTS, sub, self._inputs >> 8 * (sub - 1) & 0xFF)
+            self.objects.set_number(_INPUTS, sub, self.inputs >> 8 * (sub - 1) & 0xFF)
         if self.state is State.OPERATIONAL:
-            self._pdos.publish(changed, self._now)
+            self.pdos.publish(changed, self.now)
 
     def _sense(self) -> int:
         inputs = sum(level << bit for bit, level in self.contacts.items())
@@ -306,17 +306,17 @@ class SimulatedBoard:
                 inputs |= actuator.reads(CONTRACTED) << contracted
         return inputs
 
-    def _send_emergency(self, data: bytes) -> None:
+    def send_emergency(self, data: bytes) -> None:
         cob_id = self.objects.number(_EMERGENCY)
         if self.state is not State.STOPPED and not cob_id & cia301.INVALID:
             self.send_message(cob_id & 0x7FF, data)
 
     def _written(self, index: int, sub: int) -> None:
         if index in _PDO_PARAMETERS:
-            self._pdos.configure()
+            self.pdos.configure()
         elif index == 0x1003:
             self.emergencies.clear_history()
-        elif self._outputs.written(index, sub):
-            self._drive()
+        elif self.outputs.written(index, sub):
+            self.drive()
         else:
-            self._supervision.written(index, self._now)
+            self.supervision.written(index, self.now)

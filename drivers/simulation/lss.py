@@ -31,14 +31,14 @@ class LssSlave:
         self.stored = node, 0  # node id and index of the bit rate after the next power-on
         self.state = WAITING  # `WAITING` or `CONFIGURATION`
         self._identity, self._send = identity, send
-        self._pending = self.stored
+        self.pending = self.stored
         self._selected = 0  # parts of the identity that have matched so far
         self._scanned = 0  # part of the identity that the fast scan has reached
 
     def reset(self) -> None:
         """Applies the stored values, as after power-on."""
         self.node, self.state, self._selected = self.stored[0], WAITING, 0
-        self._pending = self.stored
+        self.pending = self.stored
 
     def receive(self, data: bytes) -> None:
         if len(data) != 8:
@@ -49,7 +49,7 @@ class LssSlave:
         elif command in _SELECT:
             self._select(_SELECT.index(command), number)
         elif command == _FAST_SCAN:
-            self._scan(number, *data[5:8])
+            self.scan(number, *data[5:8])
         elif self.state == CONFIGURATION:
             self._configure(command, data)
 
@@ -57,15 +57,15 @@ class LssSlave:
         if command == _NODE_ID:
             right = 1 <= data[1] <= 127 or data[1] == UNCONFIGURED
             if right:
-                self._pending = data[1], self._pending[1]
+                self.pending = data[1], self.pending[1]
             self._answer(bytes((command, 0 if right else _OUT_OF_RANGE)))
         elif command == _BIT_TIMING:
             right = data[1] == 0 and data[2] in _TIMINGS
             if right:
-                self._pending = self._pending[0], data[2]
+                self.pending = self.pending[0], data[2]
             self._answer(bytes((command, 0 if right else _OUT_OF_RANGE)))
         elif command == _STORE:
-            self.stored = self._pending
+            self.stored = self.pending
             self._answer(bytes((command, 0)))
         elif command in _INQUIRE:
             self._answer(struct.pack("<BI", command, self._identity[_INQUIRE.index(command)]))
@@ -80,7 +80,7 @@ class LssSlave:
             self.state, self._selected = CONFIGURATION, 0
             self._answer(bytes((_SWITCHED,)))
 
-    def _scan(self, number: int, bit: int, part: int, following: int) -> None:
+    def scan(self, number: int, bit: int, part: int, following: int) -> None:
         """Answers if the bits from `bit` on match; a slave that did not match stays silent until the next scan."""
         if self.state == CONFIGURATION or self.node != UNCONFIGURED:
             return

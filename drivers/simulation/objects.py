@@ -42,49 +42,49 @@ class Objects:
         self.shown: dict[tuple[int, int], Callable[[], int]] = {}
         self.flash_writes = 0  # number of writes to the flash memory
         self.node = node  # node id, which is part of COB-IDs
-        self._variant = variant
-        self._described = variant.objects
+        self.variant = variant
+        self.described = variant.objects
         self._on_write = on_write
-        self._values: dict[tuple[int, int], bytes] = {}
-        self._stored: dict[tuple[int, int], bytes] = {}
+        self.values: dict[tuple[int, int], bytes] = {}
+        self.stored: dict[tuple[int, int], bytes] = {}
         for (index, sub), value in variant.stored.items():
-            self._stored[index, sub] = value.to_bytes(self._find(index, sub).size, "little")
+            self.stored[index, sub] = value.to_bytes(self.find(index, sub).size, "little")
 
     def reset(self, first: int = 0x1000, last: int = 0xFFFF) -> None:
         """Resets a range of indices to the stored values, else to the default values."""
-        self._values = {key: value for key, value in self._values.items() if not first <= key[0] <= last}
+        self.values = {key: value for key, value in self.values.items() if not first <= key[0] <= last}
 
     def subs(self, index: int) -> range:
         """Returns the sub-indices of an array from 1; none if there is no such object."""
-        return range(1, max(self._described.get(index, {0: None})) + 1)
+        return range(1, max(self.described.get(index, {0: None})) + 1)
 
     def has(self, index: int) -> bool:
-        return index in self._described
+        return index in self.described
 
     def number(self, index: int, sub: int = 0) -> int:
         """Returns an unsigned value; 0 if there is no such object."""
-        if index not in self._described:
+        if index not in self.described:
             return 0
-        return int.from_bytes(self._value(index, sub), "little")
+        return int.from_bytes(self.value(index, sub), "little")
 
     def set_number(self, index: int, sub: int, value: int) -> None:
-        self._values[index, sub] = value.to_bytes(self._find(index, sub).size, "little")
+        self.values[index, sub] = value.to_bytes(self.find(index, sub).size, "little")
 
     def get_data(self, index: int, sub: int, check_readable: bool = False) -> bytes:
         """Returns a value for an SDO upload. Raises SdoAbortedError if it does not exist or is not readable."""
         self._refuse(index, sub)
-        if check_readable and not self._find(index, sub).readable:
+        if check_readable and not self.find(index, sub).readable:
             raise SdoAbortedError(_WRITE_ONLY)
         if index == _HISTORY and self.number(_HISTORY) < sub in self.subs(_HISTORY):
             raise SdoAbortedError(_NO_DATA)
         if (index, sub) in self.shown:
-            return self.shown[index, sub]().to_bytes(self._find(index, sub).size, "little")
-        return self._value(index, sub)
+            return self.shown[index, sub]().to_bytes(self.find(index, sub).size, "little")
+        return self.value(index, sub)
 
     def set_data(self, index: int, sub: int, data: bytes, check_writable: bool = False) -> None:
         """Sets a value by an SDO download. Raises SdoAbortedError if this is not permitted, or not now."""
         self._refuse(index, sub)
-        entry = self._find(index, sub)
+        entry = self.find(index, sub)
         if check_writable and not entry.writable:
             raise SdoAbortedError(_READ_ONLY)
         if len(data) != entry.size:
@@ -94,18 +94,18 @@ class Objects:
             self._check_parameter(index, sub, value)
         elif index in _RPDO_MAPS or index in _TPDO_MAPS:
             self._check_mapping(index, sub, value)
-        elif self._variant.one_supervision:
+        elif self.variant.one_supervision:
             self._check_supervision(index, value)
         elif index == _CONSUMER:
             self._check_consumer(sub, value)
-        if index in self._variant.deaf:
+        if index in self.variant.deaf:
             return
         if index in _TIMES:
-            value -= (value & 0xFFFF) % self._variant.time_step
-        self._values[index, sub] = value.to_bytes(entry.size, "little")
-        if self._variant.saves and index not in (_HISTORY, self._variant.output_object):
+            value -= (value & 0xFFFF) % self.variant.time_step
+        self.values[index, sub] = value.to_bytes(entry.size, "little")
+        if self.variant.saves and index not in (_HISTORY, self.variant.output_object):
             self.flash_writes += 1
-            self._stored[index, sub] = bytes(data)
+            self.stored[index, sub] = bytes(data)
         self._on_write(index, sub)
 
     def mapping(self, pdo: int) -> list[tuple[int, int, int]]:
@@ -123,7 +123,7 @@ class Objects:
             if not (now | value) & cia301.INVALID and now != value:
                 raise SdoAbortedError(_WRONG_VALUE)  # only the COB-ID of a disabled PDO may be changed
         elif sub == 2:
-            synchronous = value <= 240 and index in _RPDOS and self._variant.synchronous
+            synchronous = value <= 240 and index in _RPDOS and self.variant.synchronous
             if value < 254 and not synchronous:
                 raise SdoAbortedError(_WRONG_VALUE)
 
@@ -138,7 +138,7 @@ class Objects:
             if sum(entry & 0xFF for entry in entries) > _MOST_BITS:
                 raise SdoAbortedError(_TOO_LONG)
             return
-        entry = self._find(value >> 16, value >> 8 & 0xFF)
+        entry = self.find(value >> 16, value >> 8 & 0xFF)
         dummy = index in _RPDO_MAPS and value >> 16 <= 7
         if not (dummy or entry.mappable) or 8 * entry.size != value & 0xFF:
             raise SdoAbortedError(_NOT_MAPPABLE)
@@ -156,18 +156,18 @@ class Objects:
         if value & 0xFFFF and any(other & 0xFFFF and (other ^ value) >> 16 & 0x7F == 0 for other in others):
             raise SdoAbortedError(_INCOMPATIBLE)
 
-    def _value(self, index: int, sub: int) -> bytes:
+    def value(self, index: int, sub: int) -> bytes:
         key = index, sub
-        if (value := self._values.get(key, self._stored.get(key))) is not None:
+        if (value := self.values.get(key, self.stored.get(key))) is not None:
             return value
-        entry = self._find(index, sub)
+        entry = self.find(index, sub)
         if not entry.relative:
             return entry.default
         return (int.from_bytes(entry.default, "little") + self.node).to_bytes(entry.size, "little")
 
-    def _find(self, index: int, sub: int) -> Object:
-        if index not in self._described:
-            raise SdoAbortedError(self._variant.no_object)
-        if sub not in self._described[index]:
+    def find(self, index: int, sub: int) -> Object:
+        if index not in self.described:
+            raise SdoAbortedError(self.variant.no_object)
+        if sub not in self.described[index]:
             raise SdoAbortedError(_NO_SUB_INDEX)
-        return self._described[index][sub]
+        return self.described[index][sub]

@@ -29,25 +29,25 @@ class Port:
     def __init__(self, wiring: BusWiring) -> None:
         self._wiring = wiring
         self._failed = False
-        self._bus: can.BusABC | None = self._open()
+        self.bus: can.BusABC | None = self._open()
 
     def receive_frame(self, timeout: float) -> can.Message | None:
         try:
             if self._failed:  # the kernel reports the loss of an interface only once, also to a send
                 self.close()
-                self._failed, self._bus = False, None
-            if self._bus is None:
-                self._bus = self._open()
-            return self._bus.recv(timeout)
+                self._failed, self.bus = False, None
+            if self.bus is None:
+                self.bus = self._open()
+            return self.bus.recv(timeout)
         except (can.CanError, OSError):  # the interface is down or deleted: the boards continue without frames
             self.close()
-            self._bus = None
+            self.bus = None
             time.sleep(timeout)
             return None
 
     def send_frame(self, frame: Frame) -> None:
         """Sends a frame if possible. A board does not learn of a failure."""
-        if (bus := self._bus) is not None:
+        if (bus := self.bus) is not None:
             try:
                 bus.send(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False))
             except (can.CanError, OSError) as error:
@@ -55,14 +55,14 @@ class Port:
 
     def send_error(self, state: str) -> None:
         """Sends SocketCAN's error frame for a state of the controller, "bus-off" or "active"."""
-        if (bus := self._bus) is not None:
+        if (bus := self.bus) is not None:
             number = BUS_OFF if state == "bus-off" else RESTARTED
             with contextlib.suppress(can.CanError, OSError):
                 bus.send(can.Message(arbitration_id=number, data=bytes(8), is_error_frame=True, is_extended_id=False))
 
     def close(self) -> None:
-        if self._bus is not None:
-            self._bus.shutdown()
+        if self.bus is not None:
+            self.bus.shutdown()
 
     def _open(self) -> can.BusABC:
         s = self._wiring
@@ -89,23 +89,23 @@ class Simulation:
         clock: Callable[[], float] = time.monotonic,
         variants: Mapping[str, Variant] | None = None,
     ) -> None:
-        self._boards = SimulatedBuses(
+        self.boards = SimulatedBuses(
             wiring,
             timing,
-            lambda bus, frame: self._ports[bus].send_frame(frame),
+            lambda bus, frame: self.ports[bus].send_frame(frame),
             variants,
-            lambda bus, state: self._ports[bus].send_error(state),
+            lambda bus, state: self.ports[bus].send_error(state),
         )
-        self._ports = {settings.name: Port(settings) for settings in wiring.buses}
-        self._lock = threading.RLock()  # for each access to the boards
+        self.ports = {settings.name: Port(settings) for settings in wiring.buses}
+        self.lock = threading.RLock()  # for each access to the boards
         self._clock = clock
         self._ending = threading.Event()
         self._threads: list[threading.Thread] = []
 
     def start(self) -> None:
-        with self._lock:
-            self._boards.step(self._clock())
-        for name, port in self._ports.items():
+        with self.lock:
+            self.boards.step(self._clock())
+        for name, port in self.ports.items():
             thread = threading.Thread(target=self._run, args=(name, port), name=f"simulate {name}", daemon=True)
             self._threads.append(thread)
             thread.start()
@@ -114,47 +114,47 @@ class Simulation:
         self._ending.set()
         for thread in self._threads:
             thread.join()
-        for port in self._ports.values():
+        for port in self.ports.values():
             port.close()
 
     def positions(self) -> NDArray[np.float64]:
         """Returns the positions of the actuators, 0 contracted to 1 extended, shape (A,)."""
-        with self._lock:
-            return np.array(self._boards.positions())
+        with self.lock:
+            return np.array(self.boards.positions())
 
     def switches(self) -> NDArray[np.int64]:
         """Returns the number of switches of each valve, shape (A,)."""
-        with self._lock:
-            return np.array(self._boards.switches(), dtype=np.int64)
+        with self.lock:
+            return np.array(self.boards.switches(), dtype=np.int64)
 
     def fault(self, *words: str | float) -> None:
         """Causes or ends a fault; the words are those of `fault_commands`, e.g. "stick", "5.left", 1."""
-        with self._lock:
-            self._boards.step(self._clock())
-            fault_commands.perform(self._boards, *words)
+        with self.lock:
+            self.boards.step(self._clock())
+            fault_commands.perform(self.boards, *words)
 
     def play_fault(self, text: str) -> str:
         """Plays a fault such as "silence can0/5"; returns the answer. Raises ValueError with the choices."""
-        with self._lock:
-            self._boards.step(self._clock())
-            return fault_commands.play(self._boards, text)
+        with self.lock:
+            self.boards.step(self._clock())
+            return fault_commands.play(self.boards, text)
 
     @contextlib.contextmanager
     def board(self, name: str) -> Iterator[SimulatedBoard]:
         """Yields a board, e.g. "can0/5", while no frame reaches any board."""
-        with self._lock:
-            self._boards.step(self._clock())
-            yield self._boards.board(name)
+        with self.lock:
+            self.boards.step(self._clock())
+            yield self.boards.board(name)
 
     def _run(self, bus: str, port: Port) -> None:
         while not self._ending.is_set():
-            wait = self._boards.next_due() - self._clock()
+            wait = self.boards.next_due() - self._clock()
             message = port.receive_frame(min(max(wait, 0.0), _LONGEST_WAIT))
-            with self._lock:
+            with self.lock:
                 while message is not None:
                     if not (message.is_error_frame or message.is_extended_id or message.is_fd):
                         remote = message.is_remote_frame
                         frame = Frame(message.arbitration_id | REMOTE * remote, b"" if remote else bytes(message.data))
-                        self._boards.receive(bus, frame, self._clock())
+                        self.boards.receive(bus, frame, self._clock())
                     message = port.receive_frame(0.0)
-                self._boards.step(self._clock())
+                self.boards.step(self._clock())

@@ -7,6 +7,7 @@ import msgspec
 import pytest
 from numpy.testing import assert_allclose
 
+from hyperbit.controller.arm.weights import weights_of
 from hyperbit.controller.armfile.settings import WeightSettings
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.obstacles.obstacles import sphere
@@ -75,15 +76,15 @@ def test_one_actuator_may_have_no_input_and_share_a_bit_number_on_another_board(
 
 
 def test_weights_fall_from_base_to_tip_and_grow_with_wear(arm):
-    assert arm.weights().tolist() == [1.0] * 48
+    assert weights_of(arm).tolist() == [1.0] * 48
     settings = msgspec.structs.replace(arm.settings, weights=WeightSettings(base=4.0, wear=0.5))
     heavy = [msgspec.structs.replace(entry, weight=2.0 if k == 7 else 1.0) for k, entry in enumerate(arm.wiring)]
     weighted = replace(arm, settings=settings, wiring=tuple(heavy))
-    plain = weighted.weights()
+    plain = weights_of(weighted)
     assert plain[0] == plain[2] == 4.0
     assert plain[-1] == 1.0
     assert plain[7] == pytest.approx(2 * plain[6])
-    worn = weighted.weights({"1.left": 10, "1.right": 5, "no.such": 99})
+    worn = weights_of(weighted, {"1.left": 10, "1.right": 5, "no.such": 99})
     assert worn[:3] / plain[:3] == pytest.approx([1.5, 1.0, 1.25])
     assert worn[3:].tolist() == plain[3:].tolist()
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.arm.weights import weights_of
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.search.solution import Solution
 from hyperbit.controller.search.solver import Solver
@@ -18,7 +19,7 @@ Solve = Callable[[NDArray[np.float64], Configuration], Solution]
 
 def ready_solver(arm: Arm) -> Solver:
     manipulator = arm.manipulator
-    solver = Solver(manipulator, map_densities(manipulator, arm.pixel, arm.level_pixels), arm.weights())
+    solver = Solver(manipulator, map_densities(manipulator, arm.pixel, arm.level_pixels), weights_of(arm))
     solver.prepare()
     return solver
 

@@ -45,7 +45,7 @@ class FakeMaster:
         self.broken: set[str] = set()
         self.ticks: list[float] = []
         self.left: list[tuple[float, int]] = []  # when which lines were switched
-        self._targets = 0  # states that the actuators go to
+        self.targets = 0  # states that the actuators go to
         self._target = 0
         self._arrivals: list[tuple[float, int, int]] = []
         self._faults: list[ArmFault] = []
@@ -85,13 +85,13 @@ class FakeMaster:
     def _drive(self, now: float) -> None:
         """Moves the actuators as their outputs command; with both outputs off, an actuator continues its motion."""
         for k, channel in enumerate(self._wiring.channels):
-            on, state = self.outputs >> k & 1, self._targets >> k & 1
+            on, state = self.outputs >> k & 1, self.targets >> k & 1
             if channel.output_off is not None:
                 off = self.outputs >> self._size + self._wiring.paired.index(k) & 1
                 assert not on & off, "both outputs are on"
                 on = on if on or off else state
             if on != state:
-                self._targets ^= 1 << k
+                self.targets ^= 1 << k
                 self._arrivals = [arrival for arrival in self._arrivals if arrival[1] != k]
                 self._arrivals.append((now + 0.8 * (channel.travel or (self._travel,) * 2)[on], k, on))
                 if not self.stuck >> k & 1:

@@ -91,13 +91,13 @@ class Rig:
         self.arm = small_arm(**fields)
         self.journal = SwitchJournal(SIZE)
         self.core = Executor(self.arm, self.journal, instance=7, watchdog=0.4, build_master=FakeMaster)
-        self.master: FakeMaster = self.core._master
+        self.master: FakeMaster = self.core.master
         self.heard: list[tuple[ClientId, Any]] = []
         self.notified: list[str] = []
         self.logged: list[tuple[int, str]] = []
         self.fields: list[Mapping[str, str]] = []  # of the same lines, for the journal
         self.alive = False
-        self._programs = 0
+        self.programs = 0
 
     @property
     def now(self) -> float:
@@ -147,13 +147,13 @@ class Rig:
 
     def program(self, *states: int, step: float = 0.2, final: bool = True, **fields: Any) -> Program:
         """Sends a program whose stages each have a mark."""
-        self._programs += 1
+        self.programs += 1
         stages = tuple(
             Stage(pack(bits, SIZE), at=step * k, mark=k, settled=step * k + TRAVEL + TICK)
             for k, bits in enumerate(states)
         )
-        given = {"number": self._programs, "epoch": self.snapshot.epoch, "start": self.states, "begin": 0.0}
-        given |= {"strict": False, "name": f"goal {self._programs}", "context": b"", "stages": stages} | fields
+        given = {"number": self.programs, "epoch": self.snapshot.epoch, "start": self.states, "begin": 0.0}
+        given |= {"strict": False, "name": f"goal {self.programs}", "context": b"", "stages": stages} | fields
         return Program(
             program=given["number"],
             epoch=given["epoch"],

@@ -96,7 +96,7 @@ class World(Hardware, Witness):
     @property
     def has_planner(self) -> bool:
         core = self.executor.core
-        return core is not None and core._clients.planner is not None
+        return core is not None and core.clients.planner is not None
 
     @property
     def journal(self) -> Any:

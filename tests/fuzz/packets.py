@@ -65,7 +65,7 @@ class Packets:
     def _fitted(self, message: Down) -> Down:
         """Returns a message with the numbers that the executor expects."""
         core, world = self.world.core, self.world
-        start, epoch, greatest = pack(world.master.outputs, SIZE), core.modes.epoch, core._requests.greatest
+        start, epoch, greatest = pack(world.master.outputs, SIZE), core.modes.epoch, core.requests.greatest
         match message:
             case Program():
                 return msgspec.structs.replace(message, program=greatest + 1, epoch=epoch, start=start, begin=0.0)

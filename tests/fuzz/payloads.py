@@ -10,6 +10,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from hyperbit.controller.arm.arm import load
+from hyperbit.controller.arm.weights import weights_of
 from hyperbit.controller.armfile.settings import MOST_OBSTACLES
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands.common import parse_goal
@@ -159,7 +160,7 @@ class ReadArm:
         assert executed is None or executed.actuators == arm.manipulator.actuators, "the two processes agree"
         assert np.isfinite(arm.manipulator.frames).all()
         assert len(arm.wiring) in (0, len(arm.manipulator.actuators))
-        assert np.isfinite(arm.weights()).all()
+        assert np.isfinite(weights_of(arm)).all()
         assert arm.level_pixels >= 1
         assert arm.clearance().blocked(np.zeros((1, len(arm.manipulator.modules)), dtype=int)).shape == (1,)
         return 1

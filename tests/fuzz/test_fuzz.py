@@ -84,7 +84,7 @@ def test_programs_and_setpoints_are_carried_out_in_between():
     assert attack.syncs == 4
     world = attack.world
     assert world.core.modes.mode == "ready"
-    number, epoch = world.core._requests.greatest + 1, world.core.modes.epoch
+    number, epoch = world.core.requests.greatest + 1, world.core.modes.epoch
     start, stages = pack(world.master.outputs, 6), (pack(0b111000, 6),)
     world.send(Setpoint(number, epoch, start, stages, world.now + 1.0, False, "following"))
     world.go(3)

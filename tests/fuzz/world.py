@@ -91,7 +91,7 @@ class World(Hardware, Witness):
 
     @property
     def master(self) -> Master:
-        return self.core._master
+        return self.core.master
 
     def told(self, event: Event) -> None:
         self._end_event()
@@ -156,7 +156,7 @@ class World(Hardware, Witness):
         self._end_event()
 
     def program(self, *stages: int, step: float = 0.04) -> None:
-        number = self.core._requests.greatest + 1
+        number = self.core.requests.greatest + 1
         packed = tuple(Stage(pack(states, SIZE), k * step, k, k * step) for k, states in enumerate(stages))
         start, epoch = pack(self.master.outputs, SIZE), self.core.modes.epoch
         self.send(Program(number, epoch, start, 0.0, packed, True, False, "goal"))

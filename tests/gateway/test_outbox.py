@@ -304,7 +304,7 @@ def test_after_a_standstill_results_wait_for_peers_and_others_do_not(session: Fa
     now = [100.0]
     outbox = results.outbox(lease=2.0, clock=lambda: now[0])
     now[0] += 1.1  # as after SIGSTOP and SIGCONT
-    eventually(lambda: outbox._wait_until > now[0])
+    eventually(lambda: outbox.wait_until > now[0])
     outbox.publish_result(result())
     outbox.publish_result(result("of the planner before", inherited=True))
     outbox.publish("feedback", {"id": "b"})
@@ -325,7 +325,7 @@ def test_at_the_end_results_wait_no_longer(session: FakeSession, results: Result
     now = [100.0]
     outbox = results.outbox(lease=2.0, clock=lambda: now[0])
     now[0] += 10.0
-    eventually(lambda: outbox._wait_until > now[0])
+    eventually(lambda: outbox.wait_until > now[0])
     outbox.publish_result(result())
     outbox.close(PATIENCE)
     assert [payload["id"] for _, payload in session.sent] == ["a"]

@@ -7,6 +7,7 @@ import pytest
 
 import hyperbit as hb
 from hyperbit.controller.arm import arm as config
+from hyperbit.controller.arm.weights import weights_of
 from tests.arms import every_configuration, paper_arm
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
@@ -26,7 +27,7 @@ def test_a_file_gives_the_arm_that_commands_load() -> None:
     arm, loaded = hb.load(DEPLOY / "planar16.yaml"), config.load(DEPLOY / "planar16.yaml")
     states = np.arange(16) % 8
     np.testing.assert_array_equal(arm.frame(states), loaded.manipulator.tip(states))
-    np.testing.assert_array_equal(arm.weights, loaded.weights())
+    np.testing.assert_array_equal(arm.weights, weights_of(loaded))
     assert arm.format(states) == "0123456701234567"
     np.testing.assert_array_equal(arm.parse("0123456701234567"), states)
 

@@ -72,8 +72,9 @@ def trusses(**more: object) -> hb.Arm:
 def test_goals_are_of_the_tool(oriented):
     arm, bare = trusses(tip=TOOL), trusses()
     solver, rng = hb.Solver(arm), np.random.default_rng(3)
-    every = every_configuration(arm._arm.manipulator)
-    tips = arm._arm.manipulator.tips(every)
+    manipulator = arm._arm.manipulator
+    every = every_configuration(manipulator)
+    tips = manipulator.tips(every)
     for hidden in rng.integers(0, 8, (12, 4)):
         wanted = bare.frame(hidden) @ TOOL
         turned = {"orientation": angle(wanted), "angle_tolerance": 1e-5} if oriented else {}
@@ -84,7 +85,7 @@ def test_goals_are_of_the_tool(oriented):
         serves = np.linalg.norm(tips[:, :2, 3] - wanted[:2, 3], axis=1) <= 1e-6
         if oriented:
             serves &= np.array([angle_between(tip[:3, :3], wanted[:3, :3]) <= 1e-5 for tip in tips])
-        fewest = min(arm._arm.manipulator.switches(arm.home, each) for each in every[serves])
+        fewest = min(manipulator.switches(arm.home, each) for each in every[serves])
         assert found.switches == fewest
 
 

@@ -16,7 +16,7 @@ from hyperbit.controller.motion.stages.pacing import MOST_STAGES, Pace
 from hyperbit.controller.motion.trajectory import MOST_POINTS, Trajectory, along, through, upwards
 from hyperbit.controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
 from hyperbit.controller.refusals.refusal import Refusal
-from hyperbit.controller.search.solver import search_time
+from hyperbit.controller.search.search_time import search_time
 
 PACE = Pace(0.06)
 STAGED = Pace(0.06, inrush=2, rest=0.1)

@@ -90,8 +90,8 @@ def test_what_nobody_writes_does_not_fill_the_memory(
     monkeypatch.setattr(listening, "MOST_WAITING", 100)
     listener = Listener(ends[1], "a")
     for _ in range(30):
-        listener._put("state", bytes(10))
+        listener.put("state", bytes(10))
     assert (len(listener.receive_messages(0.0)), listener.dropped(), listener.dropped()) == (10, 20, 0)
-    listener._put("state", bytes(10))
+    listener.put("state", bytes(10))
     assert len(listener.receive_messages(0.0)) == 1
     listener.close()

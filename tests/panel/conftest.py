@@ -72,14 +72,14 @@ class PlayedDaemon:
         self.answer: Message = {"accepted": True, "code": 0, "message": "done"}
         self._latest: Message | None = None
         self._order = threading.Lock()
-        self._session = zenoh.open(
+        self.session = zenoh.open(
             session.configuration(mode, **{"connect" if mode == "client" else "listen": endpoint})
         )
         self._keys: list[Any] = [
-            self._session.declare_queryable(f"hyperbit/{name}/{key}", self._answer)
+            self.session.declare_queryable(f"hyperbit/{name}/{key}", self._answer)
             for key in ("arm", "plan", "goal", "jog", "stop", "cancel", "reset", "degrade", "obstacles", "fault")
         ]
-        self._token: Any = self._session.liveliness().declare_token(f"hyperbit/{name}/alive")
+        self._token: Any = self.session.liveliness().declare_token(f"hyperbit/{name}/alive")
 
     def _answer(self, query: zenoh.Query) -> None:
         key = str(query.key_expr).rpartition("/")[2]
@@ -123,7 +123,7 @@ class PlayedDaemon:
                 self.put("state", self._latest)
 
     def put(self, key: str, payload: Message) -> None:
-        self._session.put(f"hyperbit/{self._name}/{key}", json.dumps(payload).encode())
+        self.session.put(f"hyperbit/{self._name}/{key}", json.dumps(payload).encode())
 
     def die(self) -> None:
         """Removes the liveliness token."""
@@ -131,7 +131,7 @@ class PlayedDaemon:
 
     def close(self) -> None:
         self.gate.set()
-        self._session.close()  # type: ignore[no-untyped-call]
+        self.session.close()  # type: ignore[no-untyped-call]
 
 
 class Opened:

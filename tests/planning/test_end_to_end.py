@@ -87,7 +87,7 @@ def test_a_goal_replaces_the_running_one_wherever_the_arm_is(chain: Chain) -> No
     assert chain.inbox.next("reply")["accepted"]
     chain.inbox.next("feedback")
     chain.goal(C, name="new")
-    told = [chain.inbox._queue.get(timeout=PATIENCE) for _ in range(4)]
+    told = [chain.inbox.queue.get(timeout=PATIENCE) for _ in range(4)]
     results = [payload for key, payload in told if key == "result"]
     replies = [payload for key, payload in told if key == "reply"]
     assert [(r["id"], r["status"], r["message"]) for r in results] == [
@@ -103,7 +103,7 @@ def test_cancel_and_goals_after_it(chain: Chain) -> None:
         assert chain.inbox.next("reply")["accepted"]
         chain.inbox.next("feedback")
         chain.planner.ask("cancel", name="canceled")
-        told = dict(chain.inbox._queue.get(timeout=PATIENCE) for _ in range(2))
+        told = dict(chain.inbox.queue.get(timeout=PATIENCE) for _ in range(2))
         assert told["canceled"]["message"] == "canceled"
         assert told["result"]["status"] == "canceled"
         eventually(lambda: chain.planner.state["mode"] == "ready")
@@ -156,7 +156,7 @@ def test_stop_and_reset(chain: Chain) -> None:
     assert chain.inbox.next("reply")["accepted"]
     chain.inbox.next("feedback")
     chain.planner.ask("stop", name="stop")
-    told = dict(chain.inbox._queue.get(timeout=PATIENCE) for _ in range(2))
+    told = dict(chain.inbox.queue.get(timeout=PATIENCE) for _ in range(2))
     assert told["result"]["message"] == "stopped; the arm holds"
     assert told["stop"]["accepted"]
     eventually(lambda: chain.planner.state["mode"] == "stopped")

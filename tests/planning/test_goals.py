@@ -292,7 +292,7 @@ def test_the_last_state_tells_no_fault_that_the_log_does_not(desk: Desk) -> None
 def test_the_numbers_of_a_proof_are_pythons(desk: Desk) -> None:
     desk.held.add(PlanGoal)
     desk.goal(A)
-    (task,) = [task for task in desk._queued.values() if isinstance(task, PlanGoal)]
+    (task,) = [task for task in desk.queued.values() if isinstance(task, PlanGoal)]
     (planned,) = desk.workers.perform(task)
     assert [type(value) for value in planned.proof] == [int, float, float, str]
 
@@ -300,7 +300,7 @@ def test_the_numbers_of_a_proof_are_pythons(desk: Desk) -> None:
 def test_a_plan_that_cannot_be_offered_is_an_internal_error_and_ends_nothing(desk: Desk) -> None:
     desk.held.add(PlanGoal)
     desk.goal(A)
-    ((number, task),) = [(n, task) for n, task in desk._queued.items() if isinstance(task, PlanGoal)]
+    ((number, task),) = [(n, task) for n, task in desk.queued.items() if isinstance(task, PlanGoal)]
     (planned,) = desk.workers.perform(task)
     desk.post(Answered(number, planned._replace(proof=object()), True))
     assert desk.inbox.next("reply")["message"] == "internal error, see the journal"

@@ -211,8 +211,8 @@ def test_what_the_executor_says_when_it_does_not_serve_is_told(line: Line, execu
 
 def test_a_packet_that_is_no_message_ends_the_connection(line: Line, executor: ScriptedExecutor) -> None:
     line.welcome()
-    assert executor._client is not None
-    executor._client.send(b"\xff\xff")
+    assert executor.client is not None
+    executor.client.send(b"\xff\xff")
     line.until(lambda: line.reasons)
     assert "cannot be decoded, perhaps of another version" in line.reasons[0]
     line.welcome(2)

@@ -80,7 +80,7 @@ class Bench:
         before = len(self.core.steps)
         for event in events:
             self.inbox.post(event)
-        self.loop._round()
+        self.loop.round()
         return [event for event in self.core.steps[before:] if "Snapshot" not in str(event)]
 
     def receive(self, *events: Event) -> list[Event]:
@@ -140,16 +140,16 @@ def test_it_ticks_at_the_last_wake(bench: Bench) -> None:
 def test_mailboxes_are_read_more_often_while_set_points_come(bench: Bench) -> None:
     loop = bench.loop
     loop.tips.put(*TIP)
-    bench.now = loop._look_at
+    bench.now = loop.look_at
     assert bench.handle() == [TIP]
-    assert loop._look_at == bench.now + LOOK_EVERY
+    assert loop.look_at == bench.now + LOOK_EVERY
     loop.setpoints.put(*SETPOINT)
-    bench.now = loop._look_at
+    bench.now = loop.look_at
     assert bench.handle() == [SETPOINT]
-    assert loop._look_at == bench.now + STREAM_EVERY
+    assert loop.look_at == bench.now + STREAM_EVERY
     bench.now += STREAM_ENDS
     bench.handle()
-    assert loop._look_at == bench.now + LOOK_EVERY
+    assert loop.look_at == bench.now + LOOK_EVERY
 
 
 def test_changed_warnings_are_told(bench: Bench) -> None:
@@ -231,7 +231,7 @@ def test_the_recorder_gets_each_step_until_it_fails(bench: Bench) -> None:
     bench.recorded.clear()
     bench.handle(REQUEST)
     assert bench.recorded == [(REQUEST, 100.0, WALL, [Notify("a")])]
-    bench.loop._recorder = fail
+    bench.loop.recorder = fail
     bench.handle(REQUEST, REQUEST)
     assert len(failed) == 1
     assert len(bench.services.calls) == 3
@@ -292,7 +292,7 @@ def test_no_event_is_missed(bench: Bench) -> None:
             bench.inbox.post(Answered(sender * count + k, Done(), True))
 
     bench.loop = bench.make()
-    bench.loop._warnings_at = bench.link.retry_at = 1e5  # nothing is due: only wake-ups end the waiting
+    bench.loop.warnings_at = bench.link.retry_at = 1e5  # nothing is due: only wake-ups end the waiting
     bench.loop.start()
     threads = [threading.Thread(target=post, args=(k,)) for k in range(senders)]
     for thread in threads:
@@ -311,4 +311,4 @@ def test_a_thread_serves_requests(bench: Bench) -> None:
     bench.ask(lambda payload: answered.set())
     assert answered.wait(PATIENCE)
     bench.loop.close()
-    assert not bench.loop._thread.is_alive()
+    assert not bench.loop.thread.is_alive()

@@ -80,8 +80,8 @@ def test_the_loss_of_the_executor_bars_all_that_arrived_before() -> None:
 @pytest.mark.parametrize("key", ["stop", "cancel"])
 def test_a_goal_that_arrived_before_a_stop_and_comes_after_it_is_refused(desk: Desk, key: str) -> None:
     number = desk.ask(key, name="stop")
-    goal = desk._decode("goal", b'{"id": "late", "waypoints": [{"configuration": "7000"}]}')
-    desk._names[number - 1] = "reply"
+    goal = desk.decode("goal", b'{"id": "late", "waypoints": [{"configuration": "7000"}]}')
+    desk.names[number - 1] = "reply"
     desk.post(Request(Arrival(number - 1, desk.now), "goal", goal, desk.wall))
     assert replies(desk) == ["overtaken"]
 
@@ -101,8 +101,8 @@ def test_a_goal_that_arrived_before_the_cancel_of_its_id_is_refused_wherever_it_
     desk.executor.answer(cancel, f"program {offered.program} is not running")
     assert replies(desk) == ["overtaken"] * 2
     assert replies(desk, "cancel") == [None]
-    late = desk._decode("goal", b'{"id": "a", "waypoints": [{"configuration": "7000"}]}')
-    desk._names[0] = "reply"
+    late = desk.decode("goal", b'{"id": "a", "waypoints": [{"configuration": "7000"}]}')
+    desk.names[0] = "reply"
     desk.post(Request(Arrival(number - 1, desk.now), "goal", late, desk.wall)) if number > 1 else None
     desk.release(PlanGoal)
     desk.pass_time(1.0)
@@ -118,9 +118,9 @@ def test_a_goal_that_is_sent_after_its_cancel_runs(desk: Desk) -> None:
 
 def test_cancels_of_many_ids_are_forgotten(desk: Desk) -> None:
     for number in range(1, 2_000):
-        desk._names[number] = "cancel"
+        desk.names[number] = "cancel"
         desk.post(Request(Arrival(number, desk.now), "cancel", CancelMessage(f"g{number}"), desk.wall))
-    assert len(desk.core._admission._canceled) < 300
+    assert len(desk.core.admission.canceled) < 300
 
 
 def test_without_an_executor_streams_leave_nothing(make_desk, small_densities, desk: Desk) -> None:  # type: ignore[no-untyped-def]
@@ -129,7 +129,7 @@ def test_without_an_executor_streams_leave_nothing(make_desk, small_densities, d
     for number in range(1, 3_000):
         alone.setpoint(b'{"position": [9.0, 9.0]}' if number % 2 else b"{", number)
         alone.now += 0.3 * (number % 10 == 0)
-    assert len(alone.core._admission._unresolved) < 300
+    assert len(alone.core.admission.unresolved) < 300
 
 
 def test_a_jog_says_if_it_is_not_known_where_the_arm_is(desk: Desk) -> None:

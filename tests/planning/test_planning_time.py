@@ -60,12 +60,12 @@ def test_obstacles_end_a_stale_search_at_once_and_its_deadline_counts_on(desk: D
     desk.goal(A, name="a", deadline=5.0)
     lefts = []
     for k in range(5):
-        ((number, task),) = [(n, t) for n, t in desk._queued.items() if isinstance(t, PlanGoal)]
+        ((number, task),) = [(n, t) for n, t in desk.queued.items() if isinstance(t, PlanGoal)]
         lefts.append(round(task.message.deadline or 0.0, 3))
         desk.pass_time(1.0)
         desk.ask("obstacles", {"regions": [{"disc": {"centre": [9.0, 9.0 + k], "radius": 0.1}}]}, name="obstacles")
         desk.inbox.payloads.clear() if k < 4 else None
-        assert number not in desk._queued
+        assert number not in desk.queued
     assert lefts == [5.0, 4.0, 3.0, 2.0, 1.0]
     replies = [payload for key, payload in desk.inbox.payloads if key == "reply"]
     assert [reply["reason"] for reply in replies] == ["obstacles-changing"]

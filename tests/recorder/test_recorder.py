@@ -83,7 +83,7 @@ def test_each_recording_can_be_understood_alone(tmp_path: Path, arm: Arm) -> Non
     for k in range(60):
         configuration = [(k + m) % 8 for m in range(16)]
         recorder.receive_message(heard(1.0 + k, "state", state(arm, configuration, float(k))))
-        recorder._turn()
+        recorder.turn()
     recorder.end_recording()
     assert len(began) > 2
     assert began == files(tmp_path)
@@ -101,7 +101,7 @@ def test_a_recording_ends_with_its_time(tmp_path: Path, arm: Arm) -> None:
     recorder = Recorder("planar16", Folder(tmp_path, "planar16"), Limits(10**9, 1e-9))
     for k in range(3):
         recorder.receive_message(heard(1.0 + k, "state", state(arm, [0] * 16, float(k))))
-        recorder._turn()
+        recorder.turn()
     recorder.end_recording()
     assert len(files(tmp_path)) >= 3
 
@@ -162,7 +162,7 @@ def test_a_disk_that_fails_is_told_and_tried_again(
     assert len(files(tmp_path)) == 1, "the next attempt comes later"
     monkeypatch.setattr(Recording, "write", write)
     monkeypatch.setattr(module, "RETRY", 0.0)
-    recorder._retry_at = 0.0
+    recorder.retry_at = 0.0
     recorder.receive_message(heard(3.0, "state", state(arm, [2] * 16, 3.0)))
     recorder.end_recording()
     assert len(files(tmp_path)) == 2

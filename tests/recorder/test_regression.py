@@ -56,7 +56,7 @@ def test_goals_of_a_recording_lead_to_the_same_configurations_again(tmp_path: Pa
         thread.start()
         try:
             arm.wait_ready()
-            eventually(lambda: recorder._description)
+            eventually(lambda: recorder.description)
             waypoints = [{"t": 0.5 * k, "position": [0.5 + 0.1 * k, 2.8]} for k in range(3)]
             ids = {"one", "many", "locked", "after locked", "around", "after around"}  # goals with a result
             assert arm.run({"id": "one", **GOAL})[0]["status"] == "succeeded"

@@ -48,9 +48,9 @@ def get_result(world: World, action: str = TIP) -> list[bytes]:
 def describe_again(world: World) -> None:
     """Closes the node, and opens another one for the same arm, as a bridge that is started again does."""
     world.bridge.close()
-    world.bridge._description = b""
+    world.bridge.description = b""
     world.ask()
-    world.hear(*world._waiting.popleft()[:2])
+    world.hear(*world.waiting.popleft()[:2])
 
 
 def send_goal(world: World) -> list[bytes]:
@@ -179,7 +179,7 @@ def test_a_canceled_goal_stays_canceled_after_a_restart(
         if restarted_before_its_end:
             world.kill()
             world.restart()
-            world.hear(*world._waiting.popleft()[:2])
+            world.hear(*world.waiting.popleft()[:2])
         world.hear("result", end)
         (first,) = get_result(world)
         assert first[4] == CANCELED

@@ -94,7 +94,7 @@ def crowd(world: World) -> list[list[bytes]]:
 
 def restart(world: World) -> None:
     world.restart()
-    world.hear(*world._waiting.popleft()[:2])
+    world.hear(*world.waiting.popleft()[:2])
 
 
 def status(world: World) -> int:
@@ -167,16 +167,16 @@ def test_an_accepted_cancel_survives_a_kill(world: World, daemon: Daemon, kill_b
     with world.in_place():
         send_goal(world)
         if kill_before_the_answer:
-            replies, world.faulty = world._on_reply, True
+            replies, world.faulty = world.on_reply, True
 
             def die(*_: Any) -> None:
                 world.kill()
                 raise Killed
 
-            world._on_reply = die  # type: ignore[method-assign]
+            world.on_reply = die  # type: ignore[method-assign]
             with pytest.raises(Killed):
                 cancel(world)
-            world._on_reply, world.faulty = replies, False  # type: ignore[method-assign]
+            world.on_reply, world.faulty = replies, False  # type: ignore[method-assign]
         else:
             cancel(world)
             world.kill()

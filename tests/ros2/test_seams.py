@@ -110,12 +110,12 @@ def test_clocks_that_jump_end_no_goal_and_forget_no_result(world: World) -> None
         send_goal(world)
         results = get_result(world)
         for jump in (-(10.0**6), 10.0**6):
-            world.clock._epoch += jump
+            world.clock.epoch += jump
             world.hear("state", json.dumps(state()).encode())
             assert results == []
         end = {"id": ID, "status": "succeeded", "code": 0, "message": "reached"}
         world.hear("result", json.dumps(end).encode())
-        world.clock._epoch -= 10.0**6
+        world.clock.epoch -= 10.0**6
         assert get_result(world) == results
         assert [it[4] for it in results] == [SUCCEEDED]
 
@@ -123,7 +123,7 @@ def test_clocks_that_jump_end_no_goal_and_forget_no_result(world: World) -> None
 def test_the_diagnostics_of_a_daemon_that_is_gone_are_stale(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     world.reopen()
     found: list[Any] = []
-    health = world.bridge._node._health  # type: ignore[union-attr]
+    health = world.bridge.node.health  # type: ignore[union-attr]
     monkeypatch.setattr(health, "publish", lambda fields: found.append(fields["status"][0]))
     with world.in_place():
         world.hear("state", json.dumps(state()).encode())

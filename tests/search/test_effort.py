@@ -10,7 +10,8 @@ from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.search.clock import WorkClock
 from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
-from hyperbit.controller.search.solver import Solver, search_effort
+from hyperbit.controller.search.search_time import search_effort
+from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import paper_arm, spatial_arm
 from tests.obstacles.dense import Disc, obstacles_of

@@ -228,4 +228,4 @@ def test_a_goal_in_a_region_is_told_to_be_out_of_reach_and_not_approached_throug
 
 def test_nothing_to_avoid_is_as_no_clearance_at_all():
     arm = paper_arm(4)
-    assert solver_of(arm, None, BodyClearance(arm, NONE))._scene is None
+    assert solver_of(arm, None, BodyClearance(arm, NONE)).scene is None

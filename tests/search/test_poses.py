@@ -15,7 +15,8 @@ from hyperbit.controller.search.branch_and_bound import BranchAndBound
 from hyperbit.controller.search.lists import two_list
 from hyperbit.controller.search.lists.two_list import TwoList
 from hyperbit.controller.search.method import METHODS, switch_costs
-from hyperbit.controller.search.solution import Incumbent, SearchTime
+from hyperbit.controller.search.search_time import SearchTime
+from hyperbit.controller.search.solution import Incumbent
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.search.target import SearchTarget
 from hyperbit.controller.workspace.mapping import map_densities

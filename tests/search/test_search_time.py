@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyperbit.controller.search.solution import UNFOUND, Incumbent, SearchTime
-from hyperbit.controller.search.solver import Solver, search_time
+from hyperbit.controller.search.search_time import UNFOUND, SearchTime, search_time
+from hyperbit.controller.search.solution import Incumbent
+from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import paper_arm
 

@@ -203,8 +203,8 @@ def test_a_spatial_arm_approaches_what_is_out_of_reach():
 def test_another_solver_shares_the_tables_and_searches_at_the_same_time(solver):
     other, previous = solver.another(), np.zeros(16, dtype=np.int64)
     assert other.densities is solver.densities
-    assert other._paths is solver._paths
-    assert other._minimum is not solver._minimum
+    assert other.paths is solver.paths
+    assert other.minimum is not solver.minimum
     for target in TARGETS:
         alone, beside = (one.solve(one.target(target, TOLERANCE), previous) for one in (solver, other))
         assert alone.within_tolerance == beside.within_tolerance

@@ -93,7 +93,7 @@ class BoardFaults:
         if turn > SLOWEST:
             return {}
         index, sub, value = random.choice(ALIEN)
-        entry = objects._described.get(index, {}).get(sub)
+        entry = objects.described.get(index, {}).get(sub)
         before = 0 if entry is None else objects.number(index, sub)
         made: dict[str, Made] = {
             "error without an emergency": (

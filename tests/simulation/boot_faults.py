@@ -69,7 +69,7 @@ class BootFaults:
         name = random.choice(list(world.boards.simulated.names))
         board = world.boards.simulated.board(name)
         objects, variant = board.objects, board.variant
-        kept = objects._variant, objects._described, dict(objects.refused)
+        kept = objects.variant, objects.described, dict(objects.refused)
         world.judge.disturb()
         found: list[Values] = []
         expected: list[Refusal] = []
@@ -94,7 +94,7 @@ class BootFaults:
         world.wait(lambda: world.executor.instances > instance, "started again", RESTARTED)
         if expected:
             self._judge_refusal(name, board, expected[0], found[0])
-        objects._variant, objects._described, objects.refused = kept[0], kept[1], kept[2]
+        objects.variant, objects.described, objects.refused = kept[0], kept[1], kept[2]
         board.variant = variant
         board.emergencies.recover(0xFF00)
         if board.state is State.STOPPED and not self._tells(name):
@@ -116,25 +116,25 @@ class BootFaults:
     def _configure_otherwise(self, board: Any) -> None:
         """Gives some objects wrong values, which a boot corrects."""
         objects, random = board.objects, self._random
-        fixed = any(objects._variant.read_only)
+        fixed = any(objects.variant.read_only)
         for index, sub, values in random.sample(CORRECTED, random.choice([0, 1, 3, 6])):
-            entry = objects._described.get(index, {}).get(sub)
+            entry = objects.described.get(index, {}).get(sub)
             if entry is None or not entry.writable:
                 continue
             pdo = 0x1400 <= index < 0x1C00
-            if pdo and (fixed or objects._variant.absent or objects._variant.changes):
+            if pdo and (fixed or objects.variant.absent or objects.variant.changes):
                 continue
             value = random.choice(values)
             if index == 0x1016 and value >> 16 == MASTER and self._watched_elsewhere(objects, sub):
                 continue  # no two entries may watch one node (CiA 301)
-            synchronous = index < 0x1800 and objects._variant.synchronous
+            synchronous = index < 0x1800 and objects.variant.synchronous
             if pdo and sub == 2 and value < 254 and not synchronous:
                 continue  # this board takes no such value back after a refusal
             self._world.note(f"{index:04X}h sub {sub} gets {value:X}h")
             objects.set_number(index, sub, value)
             if index == 0x1016:
-                board._supervision.written(index, self._world.agenda.now)
-        board._pdos.configure()
+                board.supervision.written(index, self._world.agenda.now)
+        board.pdos.configure()
 
     def _watched_elsewhere(self, objects: Any, sub: int) -> bool:
         others = [k for k in range(1, 1 + objects.number(0x1016, 0)) if k != sub]
@@ -175,14 +175,14 @@ class BootFaults:
         return Refusal("sdo-refused", (f"{base:04X}h sub {sub}", "hardware error"))
 
     def _profile(self, board: Any, base: int, sub: int) -> Refusal:
-        described = board.objects._described
+        described = board.objects.described
         other = described[0x1000][0]._replace(default=(402).to_bytes(4, "little"))
-        board.objects._described = {**described, 0x1000: {0: other}}
+        board.objects.described = {**described, 0x1000: {0: other}}
         return Refusal("wrong-device", ("1000h", "0191h"))
 
     def _unsupervised(self, board: Any, base: int, sub: int) -> Refusal:
-        described = board.objects._described
-        board.objects._described = {k: v for k, v in described.items() if k not in (0x1016, 0x100C)}
+        described = board.objects.described
+        board.objects.described = {k: v for k, v in described.items() if k not in (0x1016, 0x100C)}
         return Refusal("wrong-device", ("1016h", "100Ch"))
 
     def _inverted(self, board: Any, base: int, sub: int) -> Refusal:
@@ -201,18 +201,18 @@ class BootFaults:
         for sub in objects.subs(0x6202):
             objects.set_number(0x6202, sub, polarity)
         if board.powered:
-            board._drive()
+            board.drive()
         self._world.boards.see("fault")
 
     def _deaf(self, board: Any, base: int, sub: int) -> Refusal:
-        board.objects._variant = replace(board.objects._variant, deaf=frozenset({0x1005}))
+        board.objects.variant = replace(board.objects.variant, deaf=frozenset({0x1005}))
         board.objects.set_number(0x1005, 0, 0x85)
         return Refusal("sdo-refused", ("1005h", "another program"))
 
     def _values(self, board: Any) -> Values:
         return {
-            (index, sub): int.from_bytes(board.objects._value(index, sub), "little")
-            for index, entries in board.objects._described.items()
+            (index, sub): int.from_bytes(board.objects.value(index, sub), "little")
+            for index, entries in board.objects.described.items()
             for sub in entries
             if index not in LIVE
         }

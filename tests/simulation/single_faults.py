@@ -57,7 +57,7 @@ class SingleFaults:
 
     def __init__(self, world: World, random: Random, seed: int) -> None:
         self._world, self._random, self._seed = world, random, seed
-        self._kinds, self._boots = FaultKinds(world, random), BootFaults(world, random)
+        self.kinds, self._boots = FaultKinds(world, random), BootFaults(world, random)
         self._volleys = Volleys(world, random)
         self._made: Counter[str] = Counter()
         told = world.judge.arm
@@ -77,7 +77,7 @@ class SingleFaults:
         self._rest()
         if world.judge.account.homing and self._random.random() < HOMED:
             self._home(planner)
-        faults, others = self._kinds.possible(), self._others(planner)
+        faults, others = self.kinds.possible(), self._others(planner)
         name = min([*faults, *others], key=self._turn)
         self._made[name] += 1
         world.note(f"only fault: {name}")

@@ -275,5 +275,5 @@ def _run_until_one_fails(first: int, monkeypatch: pytest.MonkeyPatch | None) -> 
     for k in range(MOST_WORLDS):
         world = World((first + k) % MOST_WORLDS)
         if monkeypatch is not None:
-            monkeypatch.setattr(world.single_faults._kinds, "possible", dict)
+            monkeypatch.setattr(world.single_faults.kinds, "possible", dict)
         world.run(STEPS)

@@ -92,7 +92,7 @@ def _keep_results(self: ProgramResults, send: Any, journal: SwitchJournal) -> No
     self.stored = _Kept()
 
 
-_enter = SimulatedBoard._enter
+_enter = SimulatedBoard.enter
 
 
 def _start_switches(self: SimulatedBoard, state: State) -> None:
@@ -103,7 +103,7 @@ def _start_switches(self: SimulatedBoard, state: State) -> None:
             sub = wired.output // 8 + 1
             index = self.variant.output_object
             self.objects.set_number(index, sub, self.objects.number(index, sub) ^ 1 << wired.output % 8)
-        self._drive()
+        self.drive()
 
 
 _give_up = BusCommit.give_up
@@ -159,10 +159,10 @@ DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
     "pulses do not end": (Actuation, "tick", lambda self, now: None),
     "both outputs of a pair are on": (Kinds, "_off_lines", lambda self, mask: mask << self._size),
     "a start energises": (Modes, "hold_measured", lambda self, now: _energise(self, now)),
-    "START applies other outputs": (SimulatedBoard, "_enter", _start_switches),
+    "START applies other outputs": (SimulatedBoard, "enter", _start_switches),
     "waiting RPDOs are switched after a stop": (BusCommit, "give_up", _give_up_late),
     "interlocks are ignored": (Readings, "interlock_faults", lambda self: []),
-    "the loss of the planner begins no epoch": (Executor, "_lose_planner", _begin_no_epoch),
+    "the loss of the planner begins no epoch": (Executor, "lose_planner", _begin_no_epoch),
     "marks settle again after a replacement": (ProgramExecution, "replace", _settle_again),
     "stages are taken again after a replacement": (ProgramExecution, "replace", _take_again),
     "programs wait for stages for ever": (ProgramExecution, "find_end", _wait_for_ever),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.arm.weights import weights_of
 from hyperbit.controller.commands.common import CommandFailed, densities_of, errors
 from hyperbit.controller.commands.study.plan_rows import PlanOptions, PointSolution, WantedGoal
 from hyperbit.controller.manipulator.manipulator import Configuration
@@ -16,7 +17,7 @@ from hyperbit.controller.search.method import Method
 
 if TYPE_CHECKING:  # the search's kernels take a second to import
     from hyperbit.controller.motion.plans.whole import TipGoals
-    from hyperbit.controller.search.solution import SearchTime
+    from hyperbit.controller.search.search_time import SearchTime
     from hyperbit.controller.search.solver import Solver
 
 
@@ -33,7 +34,7 @@ class GoalSearch(NamedTuple):
     @property
     def allowed(self) -> SearchTime:
         """Time or work of the search for one goal."""
-        from hyperbit.controller.search.solver import TIMEOUT, search_effort, search_time
+        from hyperbit.controller.search.search_time import TIMEOUT, search_effort, search_time
 
         if self.options.effort is not None:
             return search_effort(self.options.effort)
@@ -44,7 +45,7 @@ def prepared_search(arm: Arm, options: PlanOptions, *, silent: bool) -> GoalSear
     """Returns a search with the options; `silent` hides the progress bar."""
     from hyperbit.controller.search.solver import Solver
 
-    solver = Solver(arm.reduced, densities_of(arm, silent=silent), arm.weights(), arm.clearance(arm.reduced))
+    solver = Solver(arm.reduced, densities_of(arm, silent=silent), weights_of(arm), arm.clearance(arm.reduced))
     solver.prepare()
     tolerances = options.tolerance or arm.tolerance, options.angle_tolerance or arm.angle_tolerance
     return GoalSearch(arm, solver, *tolerances, options.method or arm.settings.method, options)
@@ -79,7 +80,7 @@ def follow(
     from hyperbit.controller.motion.plans.transitions import TransitionPlanner
     from hyperbit.controller.motion.plans.whole import PROOF_TIME, Means, first_time, plan_whole, proof_means, unhurried
     from hyperbit.controller.motion.stages.pacing import pace_of
-    from hyperbit.controller.search.solver import search_time
+    from hyperbit.controller.search.search_time import search_time
 
     options, pace, planning = search.options, pace_of(search.arm.settings), search.arm.settings.planning
     start = start if goals[0].previous is None else goals[0].previous

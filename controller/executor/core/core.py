@@ -49,15 +49,15 @@ class Executor:
         self.journal = journal
         self._arm, self._instance, self._watchdog, self._simulation = arm, instance, watchdog, simulation
         self._actions: list[events.Action] = []
-        self._master = master = build_master(arm.wiring, arm.timing, self._send)
-        self._clients = clients = Clients(arm.name, arm.planner_timeout, self._to_client)
+        self.master = master = build_master(arm.wiring, arm.timing, self._send)
+        self.clients = clients = Clients(arm.name, arm.planner_timeout, self._to_client)
         self._results = ProgramResults(clients.to_planner, journal)
-        self._locked = locked = LockedActuators(arm.actuators, arm.locked, arm.locked_states)
+        self.locked = locked = LockedActuators(arm.actuators, arm.locked, arm.locked_states)
         self.motion = motion = ArmMotion(arm, master, journal, locked, self._results, clients.to_planner)
         self.reports = Reports(arm, master, motion, locked, journal)
         clearing = CLEARING | {"stuck"} if arm.continue_on_stuck else CLEARING
         self.modes = modes = Modes(master, motion, locked, clearing, self.reports, self._act, simulation is not None)
-        self._requests = ClientRequests(arm, motion, locked, modes, self._act, clients)
+        self.requests = ClientRequests(arm, motion, locked, modes, self._act, clients)
         self.ending = Ending(arm, motion, locked, modes, self._act)
         self._last_tick: float | None = None
         self._awake = 0.0  # awake time until the last tick [s]
@@ -72,12 +72,12 @@ class Executor:
     @property
     def collecting(self) -> bool:
         """Whether the echo of an RPDO is awaited; the next echo may release the SYNC."""
-        return self._master.collecting
+        return self.master.collecting
 
     @property
     def calm(self) -> bool:
         """Whether no commit and no procedure with a board is under way, so that the core can be pickled."""
-        return self._master.calm and not self.motion.busy
+        return self.master.calm and not self.motion.busy
 
     def step(self, event: events.Event, now: float) -> list[events.Action]:
         """Handles an event of a bus, a client or the loop; returns the actions in their order.
@@ -104,7 +104,7 @@ class Executor:
 
     def _find_pause(self, event: events.Event, now: float) -> None:
         """Tests first whether the process has paused: then the waiting events are stale."""
-        if self._last_tick is not None and (fault := self._master.find_pause(now)) is not None:
+        if self._last_tick is not None and (fault := self.master.find_pause(now)) is not None:
             self.modes.fail(fault, now)
 
     def _handle(self, event: events.Event, now: float) -> None:
@@ -115,24 +115,24 @@ class Executor:
                 self._hear(event.client, event.message, now)
             case events.Health():
                 self.reports.receive_health(event)
-                self._clients.to_all(self.reports.diagnostics(now))
+                self.clients.to_all(self.reports.diagnostics(now))
             case events.ClientGone():
-                if self._clients.remove(event.client):
-                    self._lose_planner("the planner is gone")
+                if self.clients.remove(event.client):
+                    self.lose_planner("the planner is gone")
             case events.FaultPlayed():
-                self._requests.receive_fault_played(event)
+                self.requests.receive_fault_played(event)
             case events.Defect():
                 self._fail(event.text, now)
             case Quit():
                 self._quit(now)
             case _:
-                self._master.receive_event(event, now)
+                self.master.receive_event(event, now)
 
     def _conclude(self, event: events.Event, now: float) -> None:
         """Records what the event has changed on the boards."""
         at = None  # time of its frame on the bus [s]
         if isinstance(event, FrameEchoed | FrameReceived):
-            if isinstance(event, FrameEchoed) and self._master.collecting:  # one echo of several; nothing has changed
+            if isinstance(event, FrameEchoed) and self.master.collecting:  # one echo of several; nothing has changed
                 return
             # An SDO answer has no useful time: the end-stop changed before the question.
             if event.frame.id & 0x780 != cia301.SDO_ANSWER:
@@ -145,8 +145,8 @@ class Executor:
 
     def _tell(self, event: events.Event, now: float) -> None:
         """Answers requests that waited, and publishes changes."""
-        if self._requests.held:
-            self._requests.answer_held(now)
+        if self.requests.held:
+            self.requests.answer_held(now)
         if self.reports.changed and self._last_tick is not None and not self._handed_out and not self.collecting:
             self._show(now)
 
@@ -160,7 +160,7 @@ class Executor:
                 self._act(Log(logging.WARNING, warning))
             self.modes.boot(self.modes.reason, now)
         self._awake, self._last_tick = self.motion.clock, now
-        self._master.tick(now)
+        self.master.tick(now)
         self._conclude(event, now)
         self.motion.actuation.tick(now)
         self.modes.update(now)  # a pulse that was missed may be a fault
@@ -168,17 +168,17 @@ class Executor:
             self.modes.fail(fault, now)
         for actuator, fault in self.motion.supervision.tick(self.motion.clock, now):
             if fault.code == "stuck" and self._arm.continue_on_stuck:
-                self._locked.stuck |= 1 << actuator
+                self.locked.stuck |= 1 << actuator
             self.modes.fail(fault, now)
-        if self._clients.fell_silent(self.motion.clock):
-            self._lose_planner("the planner is silent")
+        if self.clients.fell_silent(self.motion.clock):
+            self.lose_planner("the planner is silent")
         self._advance(now)
         self.ending.advance(now)
         self.modes.recover(now)
         if self.reports.snapshot_due(now):
             self._show(now)
         if self.reports.diagnostics_due(now):
-            self._clients.to_all(self.reports.diagnostics(now))
+            self.clients.to_all(self.reports.diagnostics(now))
         if self._watchdog and self._healthy and now >= self._next_beat:
             self._act(Notify("WATCHDOG=1"))
             self._next_beat = now + self._watchdog / 4
@@ -189,36 +189,36 @@ class Executor:
 
     def _show(self, now: float) -> None:
         modes = self.modes
-        self._clients.to_all(
+        self.clients.to_all(
             self.reports.snapshot(now, modes.mode, modes.reason, modes.epoch, tuple(modes.faults.values()))
         )
 
     # --- clients
 
     def _hear(self, client: events.ClientId, message: program.Down, now: float) -> None:
-        if client == self._clients.planner:
-            self._clients.hear(self.motion.clock)
+        if client == self.clients.planner:
+            self.clients.hear(self.motion.clock)
         match message:
             case program.Hello():
-                if not self._clients.greet(client, message, self.motion.clock):
+                if not self.clients.greet(client, message, self.motion.clock):
                     return
-                arm, counts, greatest = self._arm, tuple(self.journal.counts), self._requests.greatest
+                arm, counts, greatest = self._arm, tuple(self.journal.counts), self.requests.greatest
                 known = arm.name, arm.digest, self._instance, counts, greatest, self._simulation
                 self._to_client(client, program.Welcome(program.VERSION, *known))
                 if message.role == "planner":
                     self._results.send_again()
                 self.reports.changed = True
-            case _ if client not in self._clients.roles:
+            case _ if client not in self.clients.roles:
                 self._to_client(client, program.Goodbye("Hello must be the first message"))
-            case program.Acknowledge() if client == self._clients.planner:
+            case program.Acknowledge() if client == self.clients.planner:
                 self._results.stored.pop(message.result, None)
-            case program.Counts() if client == self._clients.planner:
+            case program.Counts() if client == self.clients.planner:
                 self.journal.raise_to(message.counts)
             case _:
-                self._requests.receive_request(client, message, now)
+                self.requests.receive_request(client, message, now)
                 self._advance(now)  # a stage that is due now does not wait for the tick
 
-    def _lose_planner(self, why: str) -> None:
+    def lose_planner(self, why: str) -> None:
         """Ends the planner's motion, and begins an epoch: the socket may hold requests planned before.
 
         At the end of the executor none of the planner's motion runs any more.
@@ -233,9 +233,9 @@ class Executor:
             self.ending.abandon()
             self.motion.send_result()
             self._results.send_counts()
-            self._requests.answer_held(math.inf)
+            self.requests.answer_held(math.inf)
             return
-        self._requests.quitting = True
+        self.requests.quitting = True
         why = "the executor is shutting down"
         self.modes.hold("aborted", f"{why}; the arm holds", f"holding; {why}")
         self.ending.begin(now)

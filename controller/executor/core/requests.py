@@ -121,7 +121,7 @@ class ClientRequests:
             return
         match message:
             case program.Program():
-                self._receive_program(message, now)
+                self.receive_program(message, now)
             case program.Replacement():
                 self._replace(message)
             case program.Setpoint():
@@ -144,7 +144,7 @@ class ClientRequests:
 
     # --- programs and set-points
 
-    def _receive_program(self, message: program.Program, now: float) -> None:
+    def receive_program(self, message: program.Program, now: float) -> None:
         refusal = self._refusal(message, now)
         if refusal is not None:
             self._clients.to_planner(program.Declined(message.program, refusal.data))

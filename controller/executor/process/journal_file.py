@@ -54,35 +54,35 @@ class FileJournal(SwitchJournal):
         self._record = struct.Struct(f"<QI{len(actuators)}Q{self._octets}s{self._octets}s")
         slot = -(-(CRC + self._record.size) // PAGE) * PAGE
         self._slots, length = (PAGE, PAGE + slot), PAGE + 2 * slot
-        self._copier: subprocess.Popen[bytes] | None = None
+        self.copier: subprocess.Popen[bytes] | None = None
         self._damaged = self._unsaved = ""
         self._shared = None
         if memory is None:
             self._shared = shared_path(path)
             number = lock_file(self._shared, f"the switch journal {path} is in use by process", LAST_COPY)
             memory = os.fdopen(number, "r+b", buffering=0)
-        self._memory = memory
+        self.memory = memory
         os.posix_fallocate(memory.fileno(), 0, length)  # no SIGBUS when the memory is full
-        self._map = mmap.mmap(memory.fileno(), length)
+        self.mapped = mmap.mmap(memory.fileno(), length)
         kept = b""
         with contextlib.suppress(OSError):
             kept = path.read_bytes()
-        found = self._read(kept), self._read(self._map[:])
+        found = self._read(kept), self._read(self.mapped[:])
         if any(kept) and not any(found):
             self._damaged = f"{path} is damaged or of other actuators: counts of switches continue from the ledger's"
             log.warning("%s", self._damaged)
         self._write()
-        self._save()
+        self.save()
 
     @property
     def problem(self) -> str | None:
         """See `SwitchJournal`. Never waits."""
-        if self._copier is not None and self._copier.stdout is not None and not self._copier.stdout.closed:
+        if self.copier is not None and self.copier.stdout is not None and not self.copier.stdout.closed:
             with contextlib.suppress(BlockingIOError):
-                told = os.read(self._copier.stdout.fileno(), 1 << 16).splitlines()
+                told = os.read(self.copier.stdout.fileno(), 1 << 16).splitlines()
                 self._note(told[-1].decode(errors="replace") if told else "the process that copies them has ended")
                 if not told:
-                    self._copier.stdout.close()
+                    self.copier.stdout.close()
         return "; ".join(text for text in (self._unsaved, self._damaged) if text) or None
 
     def start_copier(self, interval: float = INTERVAL) -> None:
@@ -91,33 +91,33 @@ class FileJournal(SwitchJournal):
         The keeper shares the lock on the file in memory: another executor begins after the last copy. Without a keeper
         `close` copies the counts.
         """
-        memory = self._memory.fileno()
+        memory = self.memory.fileno()
         try:
-            self._copier = start_keeper("copy", memory, self._path.absolute(), interval, files=[memory])
+            self.copier = start_keeper("copy", memory, self._path.absolute(), interval, files=[memory])
         except OSError as error:
             self._note(f"the process that copies them cannot be started: {error}")
 
     def close(self) -> None:
         """Copies the counts to the disk and closes the files. Does not write beside a keeper that hangs."""
-        if self._map.closed:
+        if self.mapped.closed:
             return
-        if (copier := self._copier) is not None:
+        if (copier := self.copier) is not None:
             for pipe in filter(None, (copier.stdin, copier.stdout)):
                 pipe.close()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 copier.wait(ENDING)
         if copier is not None and copier.returncode is None:
             self._note(f"the disk is slow; process {copier.pid} still copies them")
-        elif self._save() and self._shared is not None:
+        elif self.save() and self._shared is not None:
             self._shared.unlink(missing_ok=True)
-        self._map.close()
-        self._memory.close()
+        self.mapped.close()
+        self.memory.close()
 
-    def _save(self) -> bool:
+    def save(self) -> bool:
         """Copies the counts to the disk; returns whether that succeeded. A failure becomes the problem."""
         error = ""
         try:
-            write_whole(self._path, self._map[:])
+            write_whole(self._path, self.mapped[:])
         except OSError as failure:
             error = str(failure)
         self._note(error)
@@ -136,13 +136,13 @@ class FileJournal(SwitchJournal):
         self._unsaved = text
 
     def _write(self) -> None:
-        if self._map.closed:
+        if self.mapped.closed:
             return
         self._number += 1
         intended, after = (bits.to_bytes(self._octets, "little") for bits in (self._intended, self._after))
         body = self._record.pack(self._number, self._labels, *self.counts, intended, after)
         begin = self._slots[self._number % 2]
-        self._map[begin : begin + CRC + len(body)] = zlib.crc32(body).to_bytes(CRC, "little") + body
+        self.mapped[begin : begin + CRC + len(body)] = zlib.crc32(body).to_bytes(CRC, "little") + body
 
     def _read(self, content: bytes) -> bool:
         """Reads the newest intact record if it is newer; returns whether a record of these actuators exists."""

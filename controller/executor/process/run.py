@@ -56,11 +56,11 @@ class EventLoop:
         recorder: FlightRecorder | None = None,
     ) -> None:
         self._core, self._buses, self._server, self._notifier = core, buses, server, notifier
-        self._clock, self._recorder = clock, recorder
-        self._time = Timekeeper(TICK)
+        self._clock, self.recorder = clock, recorder
+        self.real_time = Timekeeper(TICK)
         self._garbage = Garbage()
         self._quitting = False
-        self._queued = deque[events.Action]()
+        self.queued = deque[events.Action]()
         self._wake, self._woken = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
     def quit(self) -> None:
@@ -72,36 +72,36 @@ class EventLoop:
     def run(self) -> None:
         """Runs until `quit`; then gives the running program its result, and closes everything."""
         with self._garbage:
-            if self._recorder is not None:
-                self._recorder.begin(self._core, self._may_checkpoint)
-            self._time.start(self._clock())
+            if self.recorder is not None:
+                self.recorder.begin(self._core, self._may_checkpoint)
+            self.real_time.start(self._clock())
             while not self._quitting:
-                self._round()
+                self.round()
             self._end()
 
     def _may_report(self, now: float) -> bool:
-        return bool(self._queued) and not self._core.collecting and not self._time.tick_is_near(now)
+        return bool(self.queued) and not self._core.collecting and not self.real_time.tick_is_near(now)
 
-    def _round(self) -> None:
+    def round(self) -> None:
         try:
             ready = self._wait()
             self._receive_frames()
             began = self._clock()
-            if self._time.remaining(began) <= 0:
+            if self.real_time.remaining(began) <= 0:
                 self._tick(began)
             for event in self._server.poll(ready):
                 self._step(event)
                 self._receive_frames()
             if not ready and self._may_report(self._clock()):
-                self._report(self._queued.popleft())
+                self._report(self.queued.popleft())
         except Exception:  # the arm holds, and the boards keep their master
             self._step(events.Defect(traceback.format_exc()))
 
     def _wait(self) -> list[int]:
         """Waits for a readable or writable file descriptor or the tick; returns the readable ones."""
         now = self._clock()
-        timeout = 0.0 if self._may_report(now) else max(min(self._time.remaining(now), self._buses.wait(now)), 0.0)
-        clients = [] if self._time.tick_is_near(now) else self._server.readable()
+        timeout = 0.0 if self._may_report(now) else max(min(self.real_time.remaining(now), self._buses.wait(now)), 0.0)
+        clients = [] if self.real_time.tick_is_near(now) else self._server.readable()
         readable = [self._wake, *self._buses.filenos(), *clients]
         writable = self._server.writable()
         read, written, _ = select.select(readable, writable, [], timeout)
@@ -116,18 +116,18 @@ class EventLoop:
             arrived = self._buses.poll(self._clock())
             for event in arrived:
                 self._step(event)
-            if not arrived or self._time.remaining(self._clock()) <= 0:
+            if not arrived or self.real_time.remaining(self._clock()) <= 0:
                 return
 
     def _tick(self, began: float) -> None:
         self._report_all()
         if self._core.reports.diagnostics_due(began + SOON):
-            self._step(events.Health(self._time.drain_figures(), self._server.dropped, self._core.journal.problem))
+            self._step(events.Health(self.real_time.drain_figures(), self._server.dropped, self._core.journal.problem))
         self._step(events.ExecutorTick())
         self._receive_frames()
-        self._time.ticked(began, self._clock())
-        if self._recorder is not None:
-            self._recorder.flush()
+        self.real_time.ticked(began, self._clock())
+        if self.recorder is not None:
+            self.recorder.flush()
         self._garbage.collect(self._core.modes.mode != "executing")
 
     def _step(self, event: events.Event) -> None:
@@ -140,14 +140,14 @@ class EventLoop:
                 if isinstance(action, events.SendFrame):
                     self._buses.send_frame(action.bus, action.frame, self._clock())
                 else:
-                    self._queued.append(action)
+                    self.queued.append(action)
         finally:
-            if self._recorder is not None:
-                self._recorder(event, now, None, actions)
+            if self.recorder is not None:
+                self.recorder(event, now, None, actions)
 
     def _may_checkpoint(self, count: int) -> bool:
         """Whether the core may be pickled: while the arm holds, or after CHECKPOINT_AT events while it moves."""
-        spare = self._time.remaining(self._clock()) > CHECKPOINTING
+        spare = self.real_time.remaining(self._clock()) > CHECKPOINTING
         return spare and self._core.calm and (self._core.modes.mode != "executing" or count >= CHECKPOINT_AT)
 
     def _report(self, action: events.Action) -> None:
@@ -168,8 +168,8 @@ class EventLoop:
                 pass
 
     def _report_all(self) -> None:
-        while self._queued:
-            self._report(self._queued.popleft())
+        while self.queued:
+            self._report(self.queued.popleft())
 
     def _end(self) -> None:
         """Ends the program with a result, and closes everything. A second `quit` waits for no stage and contraction."""
@@ -177,7 +177,7 @@ class EventLoop:
         self._step(Quit())
         until = self._clock() + CLOSING + self._core.ending.timeout
         while not (self._core.ended or self._quitting) and self._clock() < until:
-            self._round()
+            self.round()
         self._step(Quit())
         self._report_all()
         until = self._clock() + FLUSHING
@@ -196,29 +196,29 @@ class Timekeeper:
 
     def __init__(self, period: float) -> None:
         self._period, self._overruns = period, 0
-        self._next = self._last = 0.0
+        self.next_tick = self._last = 0.0
         self._late, self._periods, self._works = list[float](), list[float](), list[float]()
 
     def start(self, now: float) -> None:
-        self._next = self._last = now
+        self.next_tick = self._last = now
 
     def remaining(self, now: float) -> float:
-        return max(self._next - now, 0.0)
+        return max(self.next_tick - now, 0.0)
 
     def tick_is_near(self, now: float) -> bool:
         """Returns whether the next tick is close, but not due: long work would delay it."""
-        return 0.0 < self._next - now < CLOSE
+        return 0.0 < self.next_tick - now < CLOSE
 
     def ticked(self, began: float, ended: float) -> None:
-        self._late.append(began - self._next)
+        self._late.append(began - self.next_tick)
         self._periods.append(began - self._last)
         self._works.append(ended - began)
         self._last = began
-        self._next += self._period
-        if self._next < ended:
-            missed = int((ended - self._next) / self._period) + 1
+        self.next_tick += self._period
+        if self.next_tick < ended:
+            missed = int((ended - self.next_tick) / self._period) + 1
             self._overruns += missed
-            self._next += missed * self._period
+            self.next_tick += missed * self._period
 
     def drain_figures(self) -> dict[str, float]:
         """Returns the figures since the last call [s], and resets them; see `Diagnostics.loop`."""

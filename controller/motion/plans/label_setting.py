@@ -22,7 +22,8 @@ from hyperbit.controller.motion.plans.labels import cheapest, near_labels
 from hyperbit.controller.motion.plans.points import TrajectoryPoint
 from hyperbit.controller.search.neighbours.chain import keys_of, states_of
 from hyperbit.controller.search.neighbours.neighbours import Neighbours, Pairs, joined
-from hyperbit.controller.search.solution import EPSILON, SearchTime, proves
+from hyperbit.controller.search.search_time import SearchTime
+from hyperbit.controller.search.solution import EPSILON, proves
 from hyperbit.controller.search.solver import Solver
 
 Array = NDArray[np.float64]
@@ -87,13 +88,13 @@ class LabelSetting:
         memory: int = 1 << 22,
     ) -> None:
         self._points, self._stop, self._solver, self._until = points, stop, solver, np.inf
-        self._to_go = CostToGo(solver, points, threads, memory, memory >> 1)
-        self._start = keys_of(self._to_go.chain, start)
+        self.to_go = CostToGo(solver, points, threads, memory, memory >> 1)
+        self._start = keys_of(self.to_go.chain, start)
         self._most = memory >> 1  # configurations of all layers together
-        self._most_listed = self._to_go.counts.affordable(PRICE_OF_LARGE)
-        self._most_budget = self._to_go.counts.affordable(PRICE_OF_ONE)
+        self._most_listed = self.to_go.counts.affordable(PRICE_OF_LARGE)
+        self._most_budget = self.to_go.counts.affordable(PRICE_OF_ONE)
         self.best = BestSequence(None, np.inf, 0.0)
-        self._raise(self._first_bound())
+        self._raise(self.first_bound())
 
     @property
     def optimal(self) -> bool:
@@ -103,7 +104,7 @@ class LabelSetting:
         """Takes a sequence (n, B) if it is cheaper than the best; `first` is a lower bound of the first step's cost."""
         if cost < self.best.cost * (1 - EPSILON):
             self.best = self.best._replace(configurations=configurations, cost=cost)
-        self._raise(first + float(self._to_go.least[: self._to_go.labels.last[0] + 1].min()))
+        self._raise(first + float(self.to_go.least[: self.to_go.labels.last[0] + 1].min()))
 
     def _raise(self, bound: float) -> None:
         """Raises the bound. Labels leave out what costs more than the best sequence, and so prove no more."""
@@ -115,14 +116,14 @@ class LabelSetting:
         with suppress(MemoryError):  # what is proven stays
             self._widen(began + (BEAM if sweep else BEAM_ALONE) * seconds)
             if not self.optimal and seconds > 0:
-                self._to_go.list_tips(seconds)
+                self.to_go.list_tips(seconds)
             if sweep and not self.optimal:
                 self._until = began + (BEAM + PROOF) * seconds
                 self.prove()
                 self._until = began + (BEAM + PROOF + SWEEP) * seconds
                 if not self.optimal:
                     left = self._until - time.perf_counter()
-                    self._to_go.sweep(self._start, self.best.cost, left, self._late)
+                    self.to_go.sweep(self._start, self.best.cost, left, self._late)
                 self._widen(began + (BEAM + PROOF + SWEEP + GUIDED) * seconds)
             self._until = began + seconds
             self.prove()
@@ -142,7 +143,7 @@ class LabelSetting:
     def prove(self) -> None:
         """Raises the lower bound until it meets the best cost or the time is over."""
         taken = 0.0
-        self._raise(self._first_bound())
+        self._raise(self.first_bound())
         while not self.optimal and not self._late():
             began = time.perf_counter()
             ceiling = self.best.bound + (0.0 if self._solver.whole_weights else self._solver.least_weight)
@@ -152,15 +153,15 @@ class LabelSetting:
 
     def _first_layer(self) -> Layer:
         """Returns the start as a layer before the first point; its exit is negative if it does not serve that."""
-        return Layer(self._start, np.zeros(1), np.zeros(1, dtype=np.int64), *self._to_go.judged(0, self._start))
+        return Layer(self._start, np.zeros(1), np.zeros(1, dtype=np.int64), *self.to_go.judged(0, self._start))
 
-    def _first_bound(self) -> float:
+    def first_bound(self) -> float:
         """Returns what the thresholds and labels prove without a search."""
         start = self._first_layer()
         if start.exits[0] >= 0:
             return float(start.rest[0])
-        step = 0.0 if self._to_go.places.fixed[0] else self._solver.least_weight
-        return float(self._to_go.least[: self._to_go.labels.last[0] + 1].min()) + step
+        step = 0.0 if self.to_go.places.fixed[0] else self._solver.least_weight
+        return float(self.to_go.least[: self.to_go.labels.last[0] + 1].min()) + step
 
     def _late(self) -> bool:
         return time.perf_counter() > self._until or self._stop()
@@ -182,7 +183,7 @@ class LabelSetting:
         k, rows = len(layers) - 1, self.best.configurations
         if k == 0 or rows is None:
             return
-        costs = layers[-1].costs + self._solver.cost(states_of(self._to_go.chain, layers[-1].keys), rows[k])
+        costs = layers[-1].costs + self._solver.cost(states_of(self.to_go.chain, layers[-1].keys), rows[k])
         n, rest = int(np.argmin(costs)), float(self._solver.cost(rows[k + 1 :], rows[k:-1]).sum())
         self._offer_rows(np.vstack([self._trace(layers, n), rows[k:]]), float(costs[n]) + rest)
 
@@ -221,7 +222,7 @@ class LabelSetting:
         ceiling = float((layer.costs + self._low(k)).min())
         for steps in range(WIDER + 1):
             budgets = np.minimum(ceiling + least * steps - self._low(k) - layer.costs, self._most_budget)
-            if found is not None and self._to_go.counts.prices(budgets).sum() > PRICE_OF_PLACE * width:
+            if found is not None and self.to_go.counts.prices(budgets).sum() > PRICE_OF_PLACE * width:
                 break
             wider = self._next_layer(layer, k, ceiling + least * steps, ENOUGH * width + FEW_KEYS, True)
             if wider is None:
@@ -240,7 +241,7 @@ class LabelSetting:
 
     def _far(self, layer: Layer, k: int) -> Layer | None:
         """Returns one configuration for a point that no neighbour serves, by a search for this goal alone."""
-        n, chain, point = int(np.argmin(layer.costs)), self._to_go.chain, self._points[k]
+        n, chain, point = int(np.argmin(layer.costs)), self.to_go.chain, self._points[k]
         seed = states_of(chain, layer.keys[n : n + 1])[0]
         if point.configuration is not None:
             configuration = point.configuration
@@ -254,7 +255,7 @@ class LabelSetting:
 
     def _low(self, k: int) -> float:
         """Returns the least threshold of a configuration that serves point k."""
-        labels = self._to_go.labels
+        labels = self.to_go.labels
         return float(labels.thresholds[k : labels.last[k] + 1].min())
 
     def _layer(
@@ -262,7 +263,7 @@ class LabelSetting:
     ) -> Layer:
         """Returns the cheapest of equal configurations for point k, up to a cost of the whole trajectory."""
         keys, costs, before = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
-        layer = Layer(keys, costs, before, *self._to_go.judged(k, keys))
+        layer = Layer(keys, costs, before, *self.to_go.judged(k, keys))
         if staying is not None:
             layer = Layer(*(np.concatenate(arrays) for arrays in zip(staying, layer, strict=True)))
         keep = np.flatnonzero(layer.costs + layer.rest <= ceiling * (1 + EPSILON))
@@ -273,7 +274,7 @@ class LabelSetting:
 
         Returns None if there are more than `most`, or if it is late. With `part`, some `most` of them suffice.
         """
-        to_go, low, least, deeper = self._to_go, self._low(k), self._solver.least_weight, 0
+        to_go, low, least, deeper = self.to_go, self._low(k), self._solver.least_weight, 0
         if self._late():
             return None
         room = ceiling * (1 + EPSILON) - layer.costs
@@ -305,7 +306,7 @@ class LabelSetting:
 
     def _labels(self, k: int) -> tuple[Integers, Array]:
         """Returns keys (n,) and values (n,) of labels below the least threshold of a configuration for point k."""
-        labels, part = self._to_go.labels, self._to_go.labels.of(k)
+        labels, part = self.to_go.labels, self.to_go.labels.of(k)
         keys, values = labels.keys[part], labels.values[part]
         below = values < self._low(k) * (1 - EPSILON)
         return keys[below], values[below]
@@ -313,19 +314,19 @@ class LabelSetting:
     def _neighbours(self, k: int, keys: Integers, budgets: Array, most: int, part: bool) -> Pairs | None:
         """Lists neighbours in all threads, see Neighbours.near."""
         large = np.flatnonzero(budgets > self._most_listed)
-        if self._to_go.tips is None or self._to_go.places.fixed[k] or not len(large):
+        if self.to_go.tips is None or self.to_go.places.fixed[k] or not len(large):
             return self._listed(k, keys, budgets, most, part)
         listed = self._listed(k, keys, np.where(budgets > self._most_listed, -1.0, budgets), most, part)
         parts = [] if listed is None else [listed]
         for n in large[:MOST_LARGE].tolist():
-            for found, costs in self._to_go.all_near(k, keys[n : n + 1], float(budgets[n])):
+            for found, costs in self.to_go.all_near(k, keys[n : n + 1], float(budgets[n])):
                 parts.append(Pairs(np.full(len(costs), n), found, costs))
                 if self._late() or sum(len(pairs.costs) for pairs in parts) > most:
                     return None
         return joined(parts) if listed is not None and len(large) <= MOST_LARGE else None
 
     def _listed(self, k: int, keys: Integers, budgets: Array, most: int, part: bool) -> Pairs | None:
-        threads = self._to_go.neighbours if len(keys) >= FEW_KEYS else self._to_go.neighbours[:1]
+        threads = self.to_go.neighbours if len(keys) >= FEW_KEYS else self.to_go.neighbours[:1]
         shares = [np.arange(n, len(keys), len(threads)) for n in range(len(threads))]
 
         def listed(neighbours: Neighbours, share: Integers) -> Pairs | None:
@@ -345,4 +346,4 @@ class LabelSetting:
         for k in range(len(layers) - 1, 0, -1):
             keys[k - 1] = layers[k].keys[n]
             n = int(layers[k].before[n])
-        return states_of(self._to_go.chain, keys)
+        return states_of(self.to_go.chain, keys)

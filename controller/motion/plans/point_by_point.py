@@ -15,8 +15,8 @@ from hyperbit.controller.motion.stages.pacing import Blocked
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
-from hyperbit.controller.search.solution import SearchTime, Solution
-from hyperbit.controller.search.solver import TIMEOUT, search_time
+from hyperbit.controller.search.search_time import TIMEOUT, SearchTime, search_time
+from hyperbit.controller.search.solution import Solution
 from hyperbit.controller.search.target import distance
 
 # Time for all searches of a trajectory [s]. It is short because the arm waits. A part of it is reserved for one first

@@ -14,7 +14,8 @@ from hyperbit.controller.motion.stages.pacing import Blocked
 from hyperbit.controller.obstacles.distance import Index
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
-from hyperbit.controller.search.solution import EPSILON, SearchTime, Solution
+from hyperbit.controller.search.search_time import SearchTime
+from hyperbit.controller.search.solution import EPSILON, Solution
 
 ENDS = 4096  # most configurations of a point
 TRY = 0.1  # [s] for one configuration, if no actuator may switch twice

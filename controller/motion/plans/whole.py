@@ -15,8 +15,7 @@ from hyperbit.controller.motion.plans.transitions import TransitionPlanner
 from hyperbit.controller.motion.stages.pacing import Pace
 from hyperbit.controller.motion.trajectory import MOST_POINTS, Trajectory, along
 from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
-from hyperbit.controller.search.solution import SearchTime
-from hyperbit.controller.search.solver import TIMEOUT, search_time
+from hyperbit.controller.search.search_time import TIMEOUT, SearchTime, search_time
 
 FIRST_TIME, WHOLE_TIME = 3.0, 4.0  # [s]: most for the first answers of all points; for the search of the whole
 PROOF_TIME = 60.0  # [s] for the search of the whole if a proof is asked for

@@ -9,7 +9,8 @@ from hyperbit.controller.motion.stages.pacing import Blocked, Pace, Stager
 from hyperbit.controller.motion.stages.program import restage
 from hyperbit.controller.obstacles.keep_out import KeepOutSet, States
 from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
-from hyperbit.controller.search.solution import SearchTime, Solution
+from hyperbit.controller.search.search_time import SearchTime
+from hyperbit.controller.search.solution import Solution
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.search.target import SearchTarget
 

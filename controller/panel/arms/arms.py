@@ -44,7 +44,7 @@ class Arms:
         self.session, self._prefix = session, prefix
         self._loop = asyncio.get_running_loop()
         self._pages: set[Page] = set()
-        self._alive = set[str]()  # names whose liveliness token exists
+        self.alive = set[str]()  # names whose liveliness token exists
         self._latest: dict[str, tuple[bytes, float]] = {}  # unprocessed states with times of arrival [s]
         self._pending, self._lock = 0, threading.Lock()
         liveliness = session.liveliness()
@@ -131,7 +131,7 @@ class Arms:
             if not is_name(name) or (len(self.views) >= MOST_ARMS and not self._drop_longest_gone()):
                 return None
             view = self.views[name] = ArmView(name, Client(self.session, name, prefix=self._prefix), self._loop)
-            if name in self._alive:
+            if name in self.alive:
                 view.hear_alive(True)
         return self.views[name]
 
@@ -171,9 +171,9 @@ class Arms:
     def _on_liveliness(self, name: str, alive: bool) -> None:
         known = self.views.get(name)
         if not alive:
-            self._alive.discard(name)
-        elif len(self._alive) < MOST_ALIVE:
-            self._alive.add(name)
+            self.alive.discard(name)
+        elif len(self.alive) < MOST_ALIVE:
+            self.alive.add(name)
         if known is not None:
             known.hear_alive(alive)
         elif alive:

@@ -57,7 +57,7 @@ class Core:
         self._counts = beginning.counts
         self._view = view = ExecutorView(manipulator, arm.travel_time, pace)
         self._parts = parts = Parts(view, pace, beginning.name, self._act, beginning.simulated)
-        self._admission, self._jobs, self._moment = parts.admission, parts.jobs, parts.moment
+        self.admission, self._jobs, self._moment = parts.admission, parts.jobs, parts.moment
         self._locks = locks = Locks(parts, beginning.tables)
         self._obstacles = ObstacleOwner(parts, beginning.scene, beginning.obstacles)
         self._tip_bias = None if tracker is None else TipBiasEstimator(parts, locks, tracker)
@@ -131,7 +131,7 @@ class Core:
                 was = self._view.connected
                 self._view.lost(reason)
                 if was:
-                    self._admission.lost()
+                    self.admission.lost()
                     self._goals.lost(reason)
                     self._programs.lost(reason)
                     self._requests.lost(reason)
@@ -182,7 +182,7 @@ class Core:
     def _receive(self, message: program.Up) -> None:
         match message:
             case program.Snapshot():
-                self._admission.snapshot(message.epoch)
+                self.admission.snapshot(message.epoch)
                 self._locks.update(self._view.receive_snapshot(message))
                 self._results.check(message.program)
             case program.Accepted():

@@ -41,17 +41,17 @@ class Admission:
 
     def __init__(self) -> None:
         self._latest = self._barred = self._replaced = 0  # numbers of arrivals
-        self._canceled: dict[str, int] = {}  # number of the latest cancel of each id, the oldest first
+        self.canceled: dict[str, int] = {}  # number of the latest cancel of each id, the oldest first
         self._pending: frozenset[int] = frozenset()  # the executor's requests that may begin a new epoch
         self._epoch: int | None = None  # of the last snapshot
         self._current = False  # whether that snapshot came after the last answer
-        self._unresolved: deque[Ticket] = deque(maxlen=MOST_UNRESOLVED)
+        self.unresolved: deque[Ticket] = deque(maxlen=MOST_UNRESOLVED)
 
     def arrive(self, number: int) -> Ticket:
         self._latest = max(self._latest, number)
         ticket = Ticket(number, self._epoch if self._current and not self._pending else None, self._pending)
         if ticket.epoch is None:
-            self._unresolved.append(ticket)
+            self.unresolved.append(ticket)
         return ticket
 
     def bar(self, request: int) -> None:
@@ -61,10 +61,10 @@ class Admission:
 
     def bar_id(self, goal: str, request: int) -> None:
         """Bars all earlier requests of an id: its cancel has arrived as this number."""
-        self._canceled.pop(goal, None)
-        self._canceled[goal] = request
-        if len(self._canceled) > MOST_CANCELED:
-            del self._canceled[next(iter(self._canceled))]
+        self.canceled.pop(goal, None)
+        self.canceled[goal] = request
+        if len(self.canceled) > MOST_CANCELED:
+            del self.canceled[next(iter(self.canceled))]
 
     def fence(self, request: int) -> None:
         """Records a request to the executor that begins a new epoch if the executor accepts it."""
@@ -83,9 +83,9 @@ class Admission:
 
     def snapshot(self, epoch: int) -> None:
         self._epoch, self._current = epoch, True
-        for ticket in [ticket for ticket in self._unresolved if not ticket.waits_for & self._pending]:
+        for ticket in [ticket for ticket in self.unresolved if not ticket.waits_for & self._pending]:
             ticket.epoch = epoch
-            self._unresolved.remove(ticket)
+            self.unresolved.remove(ticket)
 
     def lost(self) -> None:
         """Bars all earlier requests: the connection to the executor is lost."""
@@ -95,7 +95,7 @@ class Admission:
     def barred(self, ticket: Ticket, goal: str | None = None) -> bool:
         """Returns whether a cancel, stop, reset or fault came after a request; `goal` is its id, if it has one."""
         changed = ticket.epoch is not None and self._epoch is not None and ticket.epoch != self._epoch
-        canceled = goal is not None and ticket.number <= self._canceled.get(goal, 0)
+        canceled = goal is not None and ticket.number <= self.canceled.get(goal, 0)
         return ticket.number <= self._barred or canceled or changed
 
     def stream_ended(self, ticket: Ticket) -> bool:

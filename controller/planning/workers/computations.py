@@ -33,7 +33,8 @@ from hyperbit.controller.program import MOST_PROGRAM_STAGES
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.method import MINIMUM_SWITCH
-from hyperbit.controller.search.solver import Solver, search_time
+from hyperbit.controller.search.search_time import search_time
+from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.densities import Densities
 from hyperbit.controller.workspace.mapping import map_densities
 

@@ -88,10 +88,10 @@ class Workers:
         self._queues = {name: queue.SimpleQueue[QueuedTask | None]() for name in (*THREADS, LONG_PLANS)}
         self._processes = [LongPlanner(arm, weights) for _ in range(arm.settings.planning.workers)]
         carriers = [*((name, None) for name in THREADS), *((LONG_PLANS, process) for process in self._processes)]
-        self._threads = [
+        self.threads = [
             threading.Thread(target=self._run, args=carrier, name=carrier[0], daemon=True) for carrier in carriers
         ]
-        for thread in self._threads:
+        for thread in self.threads:
             thread.start()
 
     def start(self, number: int, task: Task) -> None:
@@ -114,10 +114,10 @@ class Workers:
         """Abandons all tasks and ends the threads; one that does not end within `timeout` [s] ends with the process."""
         for queued in list(self._queued.values()):
             queued.abandoned = True
-        for thread in self._threads:
+        for thread in self.threads:
             self._queues[thread.name].put(None)
         until = time.monotonic() + timeout
-        for thread in self._threads:
+        for thread in self.threads:
             thread.join(max(until - time.monotonic(), 0.0))
         for process in self._processes:
             process.close()
@@ -214,8 +214,8 @@ class LongPlanner:
 
     def close(self) -> None:
         self._connection.close()
-        self._process.kill()
-        self._process.join()
+        self.process.kill()
+        self.process.join()
 
     def _restart(self) -> None:
         self.close()
@@ -224,8 +224,8 @@ class LongPlanner:
     def _start(self) -> None:
         """Starts the process, which needs seconds; plans wait for it."""
         self._connection, theirs = SPAWN.Pipe()
-        self._process = SPAWN.Process(target=serve, args=(theirs, *self._arguments), name="long plans", daemon=True)
-        self._process.start()
+        self.process = SPAWN.Process(target=serve, args=(theirs, *self._arguments), name="long plans", daemon=True)
+        self.process.start()
         theirs.close()
 
 

@@ -59,7 +59,7 @@ class Node:
     ) -> None:
         names.check_node(name, namespace)
         self.types = Types(distro)  # types of the distribution; `types.register` adds others
-        self._session = session
+        self.session = session
         number = session.next_number()
         self.token = Token(domain, session.zid, number, number, Kind.NODE, name, namespace, enclave or "/")
         self._token = session.zenoh.liveliness().declare_token(self.token.text)
@@ -85,24 +85,24 @@ class Node:
             UnknownType: the type is not known.
         """
         token, key = self._endpoint(Kind.PUBLISHER, topic, type_name, qos)
-        return self._keep(Publisher(self._session.zenoh, token, key, type_name, self.types))
+        return self._keep(Publisher(self.session.zenoh, token, key, type_name, self.types))
 
     def subscriber(
         self, topic: str, type_name: str, callback: Callable[[Received], None], qos: Qos = presets.DEFAULT
     ) -> Subscriber:
         """Returns a subscriber. Arguments and errors are those of `publisher`."""
         token, key = self._endpoint(Kind.SUBSCRIBER, topic, type_name, qos)
-        return self._keep(Subscriber(self._session.zenoh, token, key, type_name, callback, self.types))
+        return self._keep(Subscriber(self.session.zenoh, token, key, type_name, callback, self.types))
 
     def service(self, name: str, type_name: str, handler: Callable[[Request], None]) -> Service:
         """Returns a service. Arguments and errors are those of `publisher`."""
         token, key = self._endpoint(Kind.SERVICE, name, type_name, presets.DEFAULT)
-        return self._keep(Service(self._session.zenoh, token, key, type_name, handler, self.types))
+        return self._keep(Service(self.session.zenoh, token, key, type_name, handler, self.types))
 
     def client(self, name: str, type_name: str) -> Client:
         """Returns a client of a service. Arguments and errors are those of `publisher`."""
         token, key = self._endpoint(Kind.CLIENT, name, type_name, presets.DEFAULT)
-        return self._keep(Client(self._session.zenoh, token, key, type_name, self.types))
+        return self._keep(Client(self.session.zenoh, token, key, type_name, self.types))
 
     def action_server(
         self, name: str, type_name: str, on_goal: Callable[[GoalHandle], None], policy: Policy = Policy()
@@ -145,7 +145,7 @@ class Node:
                 tell(sentence)
 
         key = f"{ADMIN_SPACE}/{self.token.domain}/**"
-        self._watching = self._session.zenoh.liveliness().declare_subscriber(key, on_token, history=True)
+        self._watching = self.session.zenoh.liveliness().declare_subscriber(key, on_token, history=True)
 
     def close(self) -> None:
         """Ends the node and all that it has made. Active goals are aborted."""
@@ -160,7 +160,7 @@ class Node:
         absolute = names.resolve(name, self.token.namespace, self.token.node)
         type_hash = self.types.hash(type_name)
         endpoint = Endpoint(absolute, names.dds_type(type_name), type_hash, qos)
-        token = self.token._replace(id=self._session.next_number(), kind=kind, endpoint=endpoint)
+        token = self.token._replace(id=self.session.next_number(), kind=kind, endpoint=endpoint)
         self._tokens[kind, absolute] = token
         return token, names.data_key(self.token.domain, absolute, type_name, type_hash)
 

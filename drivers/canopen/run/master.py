@@ -45,23 +45,23 @@ class Master:
         self._timing, self._clock = timing, LoopClock()
         self._log, self._image, self._outputs = FaultLog(), StateImage(), OutputLines(layout, pulsed)
         stuck_after = 0.8 * (timing.heartbeat_timeout - timing.heartbeat)  # before the boards lose the master
-        self._links = {bus.name: Link(bus, send, stuck_after) for bus in wiring.buses}
+        self.links = {bus.name: Link(bus, send, stuck_after) for bus in wiring.buses}
         self._worst_case = {bus.name: worst_case(layout, timing, bus) for bus in wiring.buses}
         self._boards = [
-            Board(i, board, self._links[board.bus], self._image, self._log.report)
+            Board(i, board, self.links[board.bus], self._image, self._log.report)
             for i, board in enumerate(layout.boards)
         ]
         self._by_id = {(board.layout.bus, board.layout.node): board for board in self._boards}
         self._booting = Booting(self._boards, self._outputs, wiring, timing)
-        links = tuple(self._links.values())
+        links = tuple(self.links.values())
         self._heartbeat = Heartbeat(links, self._boards, timing)
         self._inputs = InputWatch(self._boards, links, sum(1 << line for line in wiring.interlock_lines))
-        self._switching = OutputSwitching(self._boards, self._links, self._outputs, self._booting, timing)
+        self._switching = OutputSwitching(self._boards, self.links, self._outputs, self._booting, timing)
         self._verification = Verification(self._boards, self._outputs, self._switching.commits)
 
     def receive_event(self, event: events.Event, now: float) -> None:
         """Takes an event of a bus."""
-        link, time = self._links[event.bus], self._clock.at(now)
+        link, time = self.links[event.bus], self._clock.at(now)
         match event:
             case events.FrameReceived(bus, frame):
                 link.received(wire_bits(len(frame.data)))
@@ -96,7 +96,7 @@ class Master:
         """
         self._report_pause(now)
         time = self._clock.tick(now)
-        for link in self._links.values():
+        for link in self.links.values():
             if (fault := link.tick(time, now)) is not None:
                 self._lose(fault)
         self._heartbeat.tick(now, time)
@@ -131,7 +131,7 @@ class Master:
         self._switching.forget()
         self._verification.begin()
         self._inputs.begin(time)
-        lost = {name: fault for name, link in self._links.items() if (fault := link.rearm()) is not None}
+        lost = {name: fault for name, link in self.links.items() if (fault := link.rearm()) is not None}
         self._booting.begin(lost, time)
 
     def commit(self, outputs: int, now: float, release: bool = False) -> None:
@@ -174,7 +174,7 @@ class Master:
     @property
     def back(self) -> bool:
         """Whether `boot` may succeed: all buses send, and all boards are heard."""
-        fit = all(link.fit(self._clock.now) for link in self._links.values())
+        fit = all(link.fit(self._clock.now) for link in self.links.values())
         return fit and all(board.heard for board in self._boards)
 
     @property
@@ -271,7 +271,7 @@ class Master:
 
     def warnings(self) -> tuple[ArmFault, ...]:
         """Returns the warnings: error-passive buses; limits of boards, and outputs written off before the start."""
-        passive = tuple(fault for link in self._links.values() if (fault := link.passive()) is not None)
+        passive = tuple(fault for link in self.links.values() if (fault := link.passive()) is not None)
         boards = [board for board in self._boards if board.ready]
         limits = (
             ArmFault("board-limits", b.name, f"board {b.name}: {'; '.join(b.warnings)}") for b in boards if b.warnings
@@ -282,7 +282,7 @@ class Master:
 
     def status(self) -> MasterStatus:
         return MasterStatus(
-            buses=tuple(link.status(self._worst_case[name]) for name, link in self._links.items()),
+            buses=tuple(link.status(self._worst_case[name]) for name, link in self.links.items()),
             boards=tuple(board.status(self._clock.now) for board in self._boards),
         )
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.arm.arm import load
+from hyperbit.controller.arm.weights import weights_of
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.search.method import Method
 from hyperbit.controller.search.solution import Solution
@@ -36,7 +37,7 @@ def measured(path: Path, number: int) -> dict[str, dict[str, Any]]:
         f" {densities.values.nbytes / 1e6:.1f} MB, pixel {densities.pixels.min():.2g} to {densities.pixels.max():.2g},"
         f" {most / 1e6:.0f} MB on the way"
     )
-    solver = Solver(manipulator, densities, arm.weights())
+    solver = Solver(manipulator, densities, weights_of(arm))
     solver.prepare()
     goals = random_tips(manipulator, number)[:, : manipulator.dimension, 3]
     figures, rows = {}, []

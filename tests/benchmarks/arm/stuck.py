@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.arm.weights import weights_of
 from hyperbit.controller.manipulator.locked import LockedStates, lock_actuators, none_locked, transferred
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.search.solver import Solver
@@ -38,7 +39,7 @@ def searched(
     """
     left = lock_actuators(arm.manipulator, held)
     densities, mapping = timed(lambda: map_densities(left, arm.pixel, arm.level_pixels))
-    solver = Solver(left, densities, arm.weights())
+    solver = Solver(left, densities, weights_of(arm))
     solver.prepare()
     reached, rows = home(left), []
     for goal in goals:

@@ -20,7 +20,8 @@ from hyperbit.controller.motion.stages.pacing import pace_of
 from hyperbit.controller.motion.trajectory import through
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.refusals.refusal import Refusal
-from hyperbit.controller.search.solver import Solver, search_time
+from hyperbit.controller.search.search_time import search_time
+from hyperbit.controller.search.solver import Solver
 from tests.benchmarks.harness import DEPLOY, CommandLine, percentiles, show, write_figures
 from tests.benchmarks.motion.obstacle_transitions import scene
 from tests.benchmarks.search.obstacles import drawn

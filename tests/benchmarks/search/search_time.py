@@ -9,8 +9,8 @@ import numpy as np
 
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.armfile.settings import PlanningSettings
-from hyperbit.controller.search.solution import UNFOUND, SearchTime, Solution
-from hyperbit.controller.search.solver import TIMEOUT
+from hyperbit.controller.search.search_time import TIMEOUT, UNFOUND, SearchTime
+from hyperbit.controller.search.solution import Solution
 from tests.benchmarks.harness import PAPER_ARM, CommandLine, no_collection, percentiles, show, write_figures
 from tests.benchmarks.search.goals import boundary, random
 from tests.benchmarks.solving import WARM, home, ready_solver

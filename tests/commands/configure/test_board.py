@@ -95,9 +95,9 @@ def test_the_command_refuses_while_the_executor_runs(board, arm, tmp_path, actio
 def test_a_stopped_board_is_said_to_be_stopped(board, boards, brief_listening):
     with boards.board("can0/5") as it:
         it.objects.set_number(0x1017, 0, 100)
-        it.receive(0, bytes([0x80, 5]), it._now)
-        it._supervision.begin(it._now)
-        it.receive(0, bytes([0x02, 5]), it._now)
+        it.receive(0, bytes([0x80, 5]), it.now)
+        it.supervision.begin(it.now)
+        it.receive(0, bytes([0x02, 5]), it.now)
     code, _, err = board("can0/5", "errors")
     assert (code, err.startswith("board can0/5 is stopped, as after the end of an executor")) == (1, True), err
     assert board("can0/5", "reset", "--yes")[0] == 0

@@ -41,9 +41,9 @@ def test_each_kind_of_answer_is_counted(check, boards, brief_listening):
     assert check()[0] == 0
     boards.fault("error", "can0/1", "2320")
     with boards.board("can0/2") as it:
-        it.receive(0, bytes([2, 2]), it._now)
+        it.receive(0, bytes([2, 2]), it.now)
         it.objects.set_number(0x1017, 0, 100)
-        it._supervision.begin(it._now)
+        it.supervision.begin(it.now)
     with boards.board("can0/3") as it:
         it.silent = True
     code, _, err = check()

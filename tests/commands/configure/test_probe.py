@@ -69,7 +69,7 @@ def test_a_bus_with_an_executor_is_refused_before_anything_is_sent(hyperbit, boa
 
 def test_a_stopped_node_is_said_to_be_stopped(hyperbit, boards, brief_listening):
     with boards.board("can0/9") as it:
-        it.receive(0, bytes([2, 9]), it._now)
+        it.receive(0, bytes([2, 9]), it.now)
     code, out, _ = hyperbit("probe", CHANNEL, "--interface", "virtual")
     assert code == 0
     assert f"board {CHANNEL}/9 is stopped, as after the end of an executor" in out

@@ -136,18 +136,18 @@ class _Picture(NamedTuple):
 
 
 def _picture(rig: Rig) -> _Picture:
-    return _Picture(dict(rig.board.objects._values), rig.board.state)
+    return _Picture(dict(rig.board.objects.values), rig.board.state)
 
 
 def _left_changed(rig: Rig, found: _Picture, master: Master) -> Iterator[str]:
     """Yields the objects and the state that a refused boot has left in another way than it found them."""
     objects = rig.board.objects
     default = Objects(NODE, rig.variant, lambda index, sub: None)
-    default._stored = objects._stored
-    for key in sorted(found.values.keys() | objects._values.keys()):
+    default.stored = objects.stored
+    for key in sorted(found.values.keys() | objects.values.keys()):
         if key[0] in OWN_OBJECTS or key[0] == rig.variant.output_object:
             continue
-        was, now = (values.get(key, default.get_data(*key)) for values in (found.values, objects._values))
+        was, now = (values.get(key, default.get_data(*key)) for values in (found.values, objects.values))
         if was != now:
             text = f"{key[0]:04X}h/{key[1]} was {was.hex()} and is {now.hex()}"
             yield f"a refusal leaves an object changed: {text}: {_faults(master)}"

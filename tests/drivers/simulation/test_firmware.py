@@ -155,4 +155,4 @@ def test_segments_without_end_are_aborted(rig):
     assert (0x585, "80 00 62 01 05 00 04 05") in answers[-1]
     for k in range(1000):
         rig.say(0x605, bytes([0x10 * (k % 2), *range(7)]))
-    assert len(rig.board._sdo._buffer) <= 64
+    assert len(rig.board.sdo._buffer) <= 64

@@ -51,9 +51,9 @@ def act(rig: Rig, name: str, argument: object) -> None:
             rig.run(*argument, epoch=0)  # type: ignore[misc]
         case "replace":
             new = tuple(Stage(pack(bits, SIZE), at=0.2) for bits in argument)  # type: ignore[attr-defined]
-            rig.send(Replacement(rig._programs, 1, 1, pack(rig.master.outputs, SIZE), new, True))
+            rig.send(Replacement(rig.programs, 1, 1, pack(rig.master.outputs, SIZE), new, True))
         case "follow":
-            rig.follow(10_000 + rig._programs, *argument)  # type: ignore[misc]
+            rig.follow(10_000 + rig.programs, *argument)  # type: ignore[misc]
         case "cancel":
             rig.send(Cancel(1, None, ""))
         case "halt" | "reset":

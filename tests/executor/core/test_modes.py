@@ -229,4 +229,4 @@ def test_at_the_end_the_stage_under_way_is_waited_for_but_not_for_ever(rig: Rig)
 
 
 def test_the_planner_is_named_by_its_process(rig: Rig) -> None:
-    assert rig.core._clients.planner == PLANNER
+    assert rig.core.clients.planner == PLANNER

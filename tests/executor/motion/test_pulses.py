@@ -99,7 +99,7 @@ def test_homing_keeps_the_bound_on_inrush_and_the_rests() -> None:
 
 def test_end_stops_tell_the_state_after_a_start() -> None:
     rig = Rig(channel=SAME)
-    rig.master.inputs, rig.master._targets = 0b000011 | 0b111100 << SIZE, 0b000011
+    rig.master.inputs, rig.master.targets = 0b000011 | 0b111100 << SIZE, 0b000011
     rig.connect()
     rig.go(0.2)
     assert (rig.mode, rig.states, unpack(rig.snapshot.homing)) == ("ready", 0b000011, 0)

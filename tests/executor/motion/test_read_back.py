@@ -86,7 +86,7 @@ def test_a_goal_whose_switches_were_read_back_is_verified() -> None:
 
 
 def deaf(world: World, board: str = "can0/1") -> None:
-    world.boards.board(board)._pdos.receive = lambda cob_id, data, now: False
+    world.boards.board(board).pdos.receive = lambda cob_id, data, now: False
 
 
 def test_a_goal_that_a_board_does_not_follow_is_not_done() -> None:
@@ -103,10 +103,10 @@ def test_pulses_that_a_board_did_not_get_leave_its_actuators_unknown_after_a_res
     world.run(1, 0)
     world.go(2.0)
     board = world.boards.board("can0/1")
-    receive, board._pdos.receive = board._pdos.receive, lambda cob_id, data, now: False
+    receive, board.pdos.receive = board.pdos.receive, lambda cob_id, data, now: False
     world.run(2, 0b000001)
     world.go(2.0)
-    board._pdos.receive = receive
+    board.pdos.receive = receive
     world.send(Reset(1, world.epoch))
     world.go(2.0)
     snapshot = world.last(Snapshot)

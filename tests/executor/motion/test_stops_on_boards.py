@@ -50,7 +50,7 @@ def committing(boards: str, sent: int) -> tuple[World, int]:
     before = sum(world.boards.switches())
     slow_down(world)
     world.run(2, C)
-    world.agenda.until(lambda: frames_left(world) >= sent or not world.core._master.committing)
+    world.agenda.until(lambda: frames_left(world) >= sent or not world.core.master.committing)
     world.go(WAKE_UP)  # the executor gets the last echo
     return world, before
 
@@ -124,7 +124,7 @@ def test_an_end_without_a_request_gives_up_the_frames_that_wait(cause: str, boar
         case "planner gone":
             world.leave()
         case "planner silent":
-            world.core._lose_planner("the planner is silent")
+            world.core.lose_planner("the planner is silent")
         case "end":
             world.post(Quit())
     assert world.mode == ("fault" if cause in ("fault", "interlock") else "ready"), "at once"

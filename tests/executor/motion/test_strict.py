@@ -134,8 +134,8 @@ def test_an_answer_does_not_count_for_the_next_program(rig: Rig) -> None:
 
 def stray(rig: Rig) -> None:
     """Declares an actuator extended whose output is off: it is where no plan knows."""
-    rig.core._locked.change(0, 1)
-    rig.core._locked.states = 0
+    rig.core.locked.change(0, 1)
+    rig.core.locked.states = 0
     rig.master.inputs = 0b000010
     rig.core.motion.supervision.accept(0b000010, 0b111111)
 

@@ -13,7 +13,7 @@ from hyperbit.controller.executor.core.events import ExecutorTick, FromClient, S
 from hyperbit.controller.executor.motion.actuation import TravelTimes
 from hyperbit.controller.executor.process.embedded_boards import EmbeddedBoards
 from hyperbit.controller.program import VERSION, Alive, Ended, Hello, Program, Snapshot, Stage, Travel, pack
-from hyperbit.drivers.simulation.buses import _LEAST_PULSE
+from hyperbit.drivers.simulation.buses import LEAST_PULSE
 from tests.executor.rig import PLANNER, SIZE, small_arm
 from tests.executor.world import STEP, World, ready
 
@@ -40,7 +40,7 @@ def test_each_way_of_each_actuator_is_measured(contract: float, extend: float, c
             made.go(0.5)
             [(actuator, end, measured)] = travels(made)
             assert (actuator, end) == (k, state)
-            valve = _LEAST_PULSE if "output_off" in channel else 0.0
+            valve = LEAST_PULSE if "output_off" in channel else 0.0
             assert measured == pytest.approx(seconds + valve, rel=0.1)
 
 

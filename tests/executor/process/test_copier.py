@@ -43,8 +43,8 @@ class Bench:
 
     @property
     def copier(self) -> subprocess.Popen[bytes]:
-        assert self.journal._copier is not None
-        return self.journal._copier
+        assert self.journal.copier is not None
+        return self.journal.copier
 
     def switch(self, times: int = 1) -> None:
         for _ in range(times):
@@ -102,7 +102,7 @@ def test_the_disk_is_written_only_if_counts_have_changed(bench: Bench) -> None:
 def test_a_copy_that_a_power_failure_cuts_off_leaves_the_last_one(path: Path, length: int) -> None:
     bench = Bench(path, NEVER)
     bench.switch()
-    bench.journal._save()
+    bench.journal.save()
     path.with_name(f".{path.name}.1").write_bytes(path.read_bytes()[:length])
     assert after_power_failure(path)[0] == 1
     bench.journal.close()
@@ -114,7 +114,7 @@ def test_a_copy_that_fails_leaves_the_last_one(path: Path, monkeypatch: pytest.M
     bench.switch()
     with monkeypatch.context() as patched:
         patched.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(OSError("no space left")))
-        bench.journal._save()
+        bench.journal.save()
     assert "no space left" in (bench.journal.problem or "")
     assert (path.read_bytes(), list(path.parent.iterdir())) == (before, [path])
     bench.journal.close()
@@ -125,7 +125,7 @@ def test_a_file_that_was_cut_off_is_replaced_by_the_next_copy(bench: Bench, leng
     eventually(lambda: bench.path.exists())
     os.truncate(bench.path, length)
     bench.switch()
-    eventually(lambda: bench.path.stat().st_size == len(bench.journal._map))
+    eventually(lambda: bench.path.stat().st_size == len(bench.journal.mapped))
     eventually(lambda: after_power_failure(bench.path)[0] == 1)
 
 
@@ -155,8 +155,8 @@ def test_a_start_waits_for_the_last_copy_of_a_killed_executor(path: Path, monkey
     os.kill(bench.copier.pid, signal.SIGSTOP)
     assert bench.copier.stdin is not None
     bench.copier.stdin.close()
-    bench.journal._map.close()
-    bench.journal._memory.close()  # as the end of the process does
+    bench.journal.mapped.close()
+    bench.journal.memory.close()  # as the end of the process does
     waking = subprocess.Popen(["sh", "-c", f"sleep 0.3; kill -CONT {bench.copier.pid}"])
     journal = FileJournal(path, LABELS)
     assert bench.copier.wait(60) == waking.wait(60) == 0
@@ -175,13 +175,13 @@ def test_a_full_disk_is_a_problem_until_it_is_freed(path: Path) -> None:
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert f"cannot be written to {path}" in (journal.problem or "")
-    assert journal._copier is not None
-    resource.prlimit(journal._copier.pid, resource.RLIMIT_FSIZE, before)
+    assert journal.copier is not None
+    resource.prlimit(journal.copier.pid, resource.RLIMIT_FSIZE, before)
     eventually(lambda: journal.problem is None)
-    resource.prlimit(journal._copier.pid, resource.RLIMIT_FSIZE, (PAGE, before[1]))
+    resource.prlimit(journal.copier.pid, resource.RLIMIT_FSIZE, (PAGE, before[1]))
     journal.intend(0, 1)
     eventually(lambda: f"cannot be written to {path}" in (journal.problem or ""))
-    resource.prlimit(journal._copier.pid, resource.RLIMIT_FSIZE, before)
+    resource.prlimit(journal.copier.pid, resource.RLIMIT_FSIZE, before)
     eventually(lambda: journal.problem is None)
     journal.close()
 

@@ -65,7 +65,7 @@ class Bench:
         self.core = Executor(small_arm(**fields), SwitchJournal(SIZE), 1, build_master=FakeMaster)
         self.buses, self.server = NoBuses(), ExecutorServer(path, lambda: self.now)
         self.loop = EventLoop(self.core, self.buses, self.server, Notifier(), clock=lambda: self.now)
-        self.loop._time.start(self.now + TICK)
+        self.loop.real_time.start(self.now + TICK)
         self.client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.client.settimeout(10)
         self.client.connect(str(path))
@@ -77,7 +77,7 @@ class Bench:
     def go(self, rounds: int) -> None:
         for _ in range(rounds):
             self.now += self.step
-            self.loop._round()
+            self.loop.round()
 
     def wait(self, kind: type) -> Any:
         while True:
@@ -106,32 +106,32 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 def test_a_program_is_acted_on_without_a_tick(bench: Bench) -> None:
     bench.go(10)
     bench.run()
-    ticks = len(bench.core._master.ticks)
+    ticks = len(bench.core.master.ticks)
     bench.step = 0.0
     bench.now += 0.1 * TICK
-    bench.loop._round()
-    assert (bench.core._master.outputs, len(bench.core._master.ticks)) == (1, ticks)
+    bench.loop.round()
+    assert (bench.core.master.outputs, len(bench.core.master.ticks)) == (1, ticks)
 
 
 def test_a_message_shortly_before_a_tick_waits_for_it(bench: Bench) -> None:
     bench.go(10)
     bench.run()
     bench.step = 0.0
-    bench.now = bench.loop._time._next - 0.5 * CLOSE
-    bench.loop._round()
+    bench.now = bench.loop.real_time.next_tick - 0.5 * CLOSE
+    bench.loop.round()
     assert bench.core.motion.execution is None
-    bench.now = bench.loop._time._next
-    bench.loop._round()
+    bench.now = bench.loop.real_time.next_tick
+    bench.loop.round()
     assert bench.core.motion.execution is not None
 
 
 def test_messages_wait_for_the_echo_of_rpdos_until_the_next_tick(bench: Bench) -> None:
     def answers() -> list[Any]:
-        return [it for it in bench.loop._queued if isinstance(it, ToClient) and isinstance(it.message, Accepted)]
+        return [it for it in bench.loop.queued if isinstance(it, ToClient) and isinstance(it.message, Accepted)]
 
     bench.go(10)
     bench.run()
-    bench.core._master.slow_rpdos, bench.step = True, 0.0
+    bench.core.master.slow_rpdos, bench.step = True, 0.0
     bench.go(20)
     assert len(answers()) == 1
     bench.step = TICK
@@ -177,7 +177,7 @@ def test_an_event_whose_step_fails_is_recorded_before_the_defect(bench: Bench) -
         raise RuntimeError("a defect")
 
     bench.go(10)
-    bench.loop._recorder = Recorder()
+    bench.loop.recorder = Recorder()
     bench.core.step = fail
     bench.go(2)
     assert recorded[0] == (ExecutorTick(), True)
@@ -202,7 +202,7 @@ def test_a_second_quit_does_not_wait_for_the_contraction(tmp_path: Path) -> None
     bench.go(10)
     bench.run()
     bench.go(20)
-    assert bench.core._master.outputs == 1
+    assert bench.core.master.outputs == 1
     thread = threading.Thread(target=bench.loop.run, daemon=True)  # the clock stands still: no contraction ends
     bench.loop.quit()
     thread.start()

@@ -23,8 +23,8 @@ def path(tmp_path: Path) -> Path:
 
 def killed(journal: FileJournal) -> None:
     """Releases the files like the end of the process, without a further write."""
-    journal._map.close()
-    journal._memory.close()
+    journal.mapped.close()
+    journal.memory.close()
 
 
 def switched(journal: FileJournal, states: int) -> None:
@@ -74,7 +74,7 @@ def test_a_torn_record_leaves_the_previous_one(tmp_path_factory: pytest.TempPath
     last, number = list(journal.counts), journal._number
     journal.intend(0, 1)
     begin = journal._slots[(number + 1) % 2]
-    journal._map[begin + at] ^= 0xFF
+    journal.mapped[begin + at] ^= 0xFF
     killed(journal)
     journal = FileJournal(path, LABELS)
     assert (journal.counts, journal.problem) == (last, None)

@@ -19,8 +19,9 @@ from hyperbit.controller.motion.trajectory import Trajectory, through
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.obstacles.obstacles import NONE, sphere
 from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.search_time import search_time
 from hyperbit.controller.search.solution import EPSILON
-from hyperbit.controller.search.solver import Solver, search_time
+from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration
 from tests.obstacles.moving import arm, hinge, truss

@@ -15,7 +15,8 @@ from hyperbit.controller.motion.plans.transitions import TransitionPlanner
 from hyperbit.controller.motion.stages.pacing import Pace
 from hyperbit.controller.motion.trajectory import through
 from hyperbit.controller.obstacles.clearance import BodyClearance
-from hyperbit.controller.search.solver import Solver, search_time
+from hyperbit.controller.search.search_time import search_time
+from hyperbit.controller.search.solver import Solver
 from tests.obstacles.dense import Disc, nearest, obstacles_of
 
 TOLERANCE = 0.002

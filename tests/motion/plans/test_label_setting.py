@@ -142,8 +142,8 @@ def test_no_bound_is_above_and_no_plan_below_the_truth(seed):
 
 
 def labels_only(search: LabelSetting, stop=lambda: False) -> None:
-    search._to_go.list_tips(1.0)
-    search._to_go.sweep(search._start, np.inf, 0.5, stop)
+    search.to_go.list_tips(1.0)
+    search.to_go.sweep(search._start, np.inf, 0.5, stop)
 
 
 @pytest.mark.parametrize("paired", [False, True], ids=["near each", "pairs of lists"])
@@ -155,7 +155,7 @@ def test_labels_alone_give_valid_bounds(seed, paired, monkeypatch):
     case = random_case(seed, 1 << 13)
     search = LabelSetting(case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, threads=2)
     labels_only(search)
-    assert search._first_bound() <= least_cost(case) * (1 + 1e-9)
+    assert search.first_bound() <= least_cost(case) * (1 + 1e-9)
 
 
 def test_a_cancel_while_labels_are_computed_keeps_what_is_proven():
@@ -165,7 +165,7 @@ def test_a_cancel_while_labels_are_computed_keeps_what_is_proven():
         case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, lambda: next(calls) > 3
     )
     labels_only(search, search._late)
-    assert 0 < search._first_bound() <= least_cost(case) * (1 + 1e-9)
+    assert 0 < search.first_bound() <= least_cost(case) * (1 + 1e-9)
 
 
 def test_what_a_cancel_raises_ends_all_threads():
@@ -205,7 +205,7 @@ def test_a_cancel_ends_each_phase_and_keeps_what_is_proven(arm, densities, monke
         return bool(cancelled)
 
     search = long_search(solver, stop)
-    owner, calls = (search._to_go if name == "sweep" else search), list[None]()
+    owner, calls = (search.to_go if name == "sweep" else search), list[None]()
     original, bound = getattr(owner, name), search.best.bound
 
     def begun(*arguments):
@@ -265,7 +265,7 @@ def test_without_memory_for_labels_what_is_proven_stays(monkeypatch):
         swept.append(True)
         raise MemoryError
 
-    monkeypatch.setattr(search._to_go, "sweep", fail)
+    monkeypatch.setattr(search.to_go, "sweep", fail)
     monkeypatch.setattr(search, "prove", lambda: None)  # it would end the search before
     found = search.run(LONG)
     assert swept
@@ -278,7 +278,7 @@ def test_ten_thousand_equal_points_need_no_switch_after_the_first(arm, densities
     trajectory = through(np.arange(10_000.0), points, 0.002)
     search = LabelSetting(solver, list(TrajectoryPoints(solver, trajectory)), np.zeros(16, dtype=np.int64))
     assert search.best.bound == 0.0
-    assert search._to_go.labels.last[0] == 9_999
+    assert search.to_go.labels.last[0] == 9_999
     some = LabelSetting(solver, list(TrajectoryPoints(solver, trajectory))[:1000], np.zeros(16, dtype=np.int64))
     some.narrow(4)
     assert (some.best.cost, some.best.bound) == (0.0, 0.0)

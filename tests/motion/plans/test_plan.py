@@ -19,7 +19,8 @@ from hyperbit.controller.refusals.codes import GOAL_TOLERANCE_VIOLATED
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.method import Method
-from hyperbit.controller.search.solution import SearchTime, Solution
+from hyperbit.controller.search.search_time import SearchTime
+from hyperbit.controller.search.solution import Solution
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.search.target import SearchTarget
 

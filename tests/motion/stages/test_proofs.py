@@ -16,7 +16,7 @@ from hyperbit.controller.obstacles.obstacles import sphere, together
 from hyperbit.controller.obstacles.sweep import Sweep
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
-from hyperbit.controller.search.solution import SearchTime
+from hyperbit.controller.search.search_time import SearchTime
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration

@@ -11,7 +11,7 @@ from tests.waiting import eventually
 
 
 def come(site: Site, *names: str) -> list[Any]:
-    liveliness = site.daemon._session.liveliness()
+    liveliness = site.daemon.session.liveliness()
     tokens = [liveliness.declare_token(f"hyperbit/{name}/alive") for name in names]
     views = site.panel.arms.views
     eventually(lambda: all(name in views and views[name].alive for name in names))
@@ -41,7 +41,7 @@ def test_arms_that_are_there_keep_their_places(site: Site, monkeypatch: pytest.M
     monkeypatch.setattr(arms, "MOST_ARMS", 3)
     monkeypatch.setattr(arm_view, "SILENT", 0.0)
     tokens = come(site, "a1", "a2")
-    site.daemon._session.put("hyperbit/made-up/state", b"{}")
+    site.daemon.session.put("hyperbit/made-up/state", b"{}")
     site.daemon.state()
     eventually(lambda: site.panel.arms.views[ARM].state)
     assert set(site.panel.arms.views) == {ARM, "a1", "a2"}
@@ -52,12 +52,12 @@ def test_an_arm_that_found_no_place_gets_the_next_free_one(site: Site, monkeypat
     monkeypatch.setattr(arms, "MOST_ARMS", 2)
     monkeypatch.setattr(arm_view, "SILENT", 0.0)
     first = come(site, "a1")
-    late = site.daemon._session.liveliness().declare_token("hyperbit/late/alive")
-    eventually(lambda: "late" in site.panel.arms._alive)
+    late = site.daemon.session.liveliness().declare_token("hyperbit/late/alive")
+    eventually(lambda: "late" in site.panel.arms.alive)
     go(site, first)
 
     def seen() -> bool:
-        site.daemon._session.put("hyperbit/late/state", b"{}")
+        site.daemon.session.put("hyperbit/late/state", b"{}")
         return "late" in site.panel.arms.views and site.panel.arms.views["late"].alive
 
     eventually(seen)

@@ -123,7 +123,7 @@ def test_records_that_wait_share_one_transaction(path: Path) -> None:
     transactions: list[int] = []
     writes, goes_on = Event(), Event()
     ledger = Ledger(path, NAMES, write_every=600.0)
-    write = ledger._file.write
+    write = ledger.file.write
 
     def slow(records: Any, counts: Any) -> None:
         transactions.append(len(records))
@@ -132,7 +132,7 @@ def test_records_that_wait_share_one_transaction(path: Path) -> None:
         write(records, counts)
 
     eventually(path.exists)
-    ledger._file.write = slow  # type: ignore[method-assign]
+    ledger.file.write = slow  # type: ignore[method-assign]
     ledger.record(accepted(0, "first"))
     writes.wait()
     for k in range(1, 100):

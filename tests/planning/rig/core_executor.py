@@ -29,7 +29,7 @@ class CoreExecutor:
         assert arm.digest == DIGEST
         self.journal = SwitchJournal(SIZE)
         self.core = Executor(arm, self.journal, instance=1, build_master=FakeMaster)
-        self.master: FakeMaster = self.core._master  # type: ignore[assignment]
+        self.master: FakeMaster = self.core.master  # type: ignore[assignment]
         self.frozen, self.closed = threading.Event(), threading.Event()
         self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._server.bind(str(path))

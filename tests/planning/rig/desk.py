@@ -146,9 +146,9 @@ class Desk:
         self.hurried = list[int]()  # numbers of tasks
         self.logs, self.failures, self.counts = list[str](), list[str](), (0,) * len(arm.manipulator.actuators)
         self.held, self.failing, self.storing = set[type[Task]](), set[type[Task]](), True
-        self._decode = RequestDecoder(arm).decode
-        self._events, self._queued = deque[Event](), dict[int, Task]()
-        self._names, self._numbers, self._wake = dict[int, str](), 0, float("inf")
+        self.decode = RequestDecoder(arm).decode
+        self._events, self.queued = deque[Event](), dict[int, Task]()
+        self.names, self._numbers, self._wake = dict[int, str](), 0, float("inf")
         self.workers = PromptWorkers(arm, densities)
         [tables] = self.workers.perform(BuildTables(0, arm.locked.astype(np.uint8).tobytes()))
         [built] = self.workers.perform(BuildScene(0, NONE))
@@ -194,7 +194,7 @@ class Desk:
     def release(self, *kinds: type[Task]) -> None:
         """Answers the held tasks of some kinds, and holds them no longer."""
         self.held -= set(kinds)
-        for number, task in list(self._queued.items()):
+        for number, task in list(self.queued.items()):
             if type(task) in kinds:
                 self._answer(number, task)
         self.post()
@@ -213,7 +213,7 @@ class Desk:
     def _carry_out(self, action: Action) -> None:
         match action:
             case Reply(number, payload):
-                self.inbox.put(self._names.pop(number), payload)
+                self.inbox.put(self.names.pop(number), payload)
             case Publish("feedback", payload):
                 self.inbox.put("feedback", payload)
             case Publish(key, payload):
@@ -229,11 +229,11 @@ class Desk:
                 if not isinstance(message, Alive | Counts):
                     self.executor.messages.append(message)
             case Start(number, task):
-                self._queued[number] = task
+                self.queued[number] = task
                 if type(task) not in self.held:
                     self._answer(number, task)
             case Abandon(number):
-                if self._queued.pop(number, None) is not None:
+                if self.queued.pop(number, None) is not None:
                     self._events.append(Answered(number, Done(), True))
             case Hurry(number):
                 self.hurried.append(number)
@@ -254,7 +254,7 @@ class Desk:
 
     def _answer(self, number: int, task: Task) -> None:
         answers = list(self._answers(task))
-        self._queued.pop(number)
+        self.queued.pop(number)
         self._events.extend(Answered(number, answer, k == len(answers) - 1) for k, answer in enumerate(answers))
 
     def _answers(self, task: Task) -> Iterator[Answer]:
@@ -271,12 +271,12 @@ class Desk:
         """Sends a request as the gateway does; its answer comes to the inbox by `name`. Returns its number."""
         data = payload if isinstance(payload, bytes) else b"" if payload is None else json.dumps(payload).encode()
         try:
-            message = self._decode(key, data)
+            message = self.decode(key, data)
         except Refusal as refusal:
             self.inbox.put(name, refused(refusal))
             return 0
         self._numbers += 1
-        self._names[self._numbers] = name
+        self.names[self._numbers] = name
         if key == "stop":
             self.executor.messages.append(Stop(self._numbers))
         elif key == "cancel" and message == CancelMessage():

@@ -46,7 +46,7 @@ class ScriptedExecutor(PlayedExecutor):
         self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._server.bind(str(path))
         self._server.listen()
-        self._client: socket.socket | None = None
+        self.client: socket.socket | None = None
         self._greeted = False
         self._closing, self._lock = threading.Event(), threading.Lock()
         for work in (self._serve, self._stay_alive):
@@ -56,8 +56,8 @@ class ScriptedExecutor(PlayedExecutor):
         return time.monotonic()
 
     def send(self, message: Up) -> None:
-        assert self._client is not None
-        self._client.send(encode(message))
+        assert self.client is not None
+        self.client.send(encode(message))
 
     def take(self) -> Down:
         return self._messages.get(timeout=PATIENCE)
@@ -70,28 +70,28 @@ class ScriptedExecutor(PlayedExecutor):
             super().show(**changes)
 
     def drop(self) -> None:
-        assert self._client is not None
-        self._client.shutdown(socket.SHUT_RDWR)
+        assert self.client is not None
+        self.client.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
         self._closing.set()
         self._server.close()
-        if self._client is not None:
-            self._client.close()
+        if self.client is not None:
+            self.client.close()
 
     def _stay_alive(self) -> None:
         """Repeats the snapshot, so that the executor does not count as silent."""
         while not self._closing.wait(0.2):
             with self._lock, contextlib.suppress(OSError):
-                if self._greeted and self._client is not None:
-                    self._client.send(encode(self.state))
+                if self._greeted and self.client is not None:
+                    self.client.send(encode(self.state))
 
     def _serve(self) -> None:
         while not self._closing.is_set():
             try:
                 self._greeted = False
-                self._client, _ = self._server.accept()
-                self._listen(self._client)
+                self.client, _ = self._server.accept()
+                self._listen(self.client)
             except OSError:
                 continue
 
@@ -116,26 +116,26 @@ class ScriptedExecutor(PlayedExecutor):
 
 class Inbox:
     def __init__(self) -> None:
-        self._queue: queue.Queue[tuple[str, dict[str, Any]]] = queue.Queue()
+        self.queue: queue.Queue[tuple[str, dict[str, Any]]] = queue.Queue()
         self._feedback = deque[dict[str, Any]]()  # that came before a reply, which waits for the ledger
 
     def put(self, key: str, payload: Any) -> None:
-        self._queue.put((key, dict(payload)))
+        self.queue.put((key, dict(payload)))
 
     def next(self, key: str) -> dict[str, Any]:
         """Returns the next payload, and checks its key; feedback may come before a reply."""
         if key == "feedback" and self._feedback:
             return self._feedback.popleft()
-        came, payload = self._queue.get(timeout=PATIENCE)
+        came, payload = self.queue.get(timeout=PATIENCE)
         while key == "reply" and came == "feedback":
             self._feedback.append(payload)
-            came, payload = self._queue.get(timeout=PATIENCE)
+            came, payload = self.queue.get(timeout=PATIENCE)
         assert came == key, f"{came} {payload} came where {key} was expected"
         return payload
 
     @property
     def empty(self) -> bool:
-        return self._queue.empty()
+        return self.queue.empty()
 
 
 @contextmanager

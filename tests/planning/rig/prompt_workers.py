@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.arm.weights import weights_of
 from hyperbit.controller.planning.core.tasks import (
     BuildScene,
     BuildTables,
@@ -34,7 +35,7 @@ from hyperbit.controller.workspace.densities import Densities
 
 class PromptWorkers:
     def __init__(self, arm: Arm, densities: Densities) -> None:
-        self._arm, self._densities, self._weights = arm, densities, arm.weights({})
+        self._arm, self._densities, self._weights = arm, densities, weights_of(arm, {})
         self._models = {kind: ArmModel(arm, kind) for kind in ("goals", "queries", "setpoints")}  # type: ignore[arg-type]
 
     def perform(self, task: Task) -> Iterator[Any]:

@@ -56,14 +56,14 @@ def test_a_process_answers_as_a_thread_does_also_after_it_was_killed_and_the_fil
     planner = LongPlanner(load(file), bench.weights)
     expected = proven(describe(ArmModel(bench.arm, "queries"), task(bench), nothing, lambda: False))
     assert proven(planner.plan(task(bench), nothing)) == expected
-    planner._process.kill()
+    planner.process.kill()
     file.write_text("name: other\n")
     answer = planner.plan(task(bench), nothing)
     assert isinstance(answer, Failed)
     assert "the process for long plans has failed" in answer.reason
     assert proven(planner.plan(task(bench), nothing)) == expected
     planner.close()
-    assert planner._process.exitcode is not None
+    assert planner.process.exitcode is not None
 
 
 def test_a_plan_that_is_no_longer_wanted_ends_with_its_process(bench: Bench) -> None:

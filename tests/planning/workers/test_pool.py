@@ -193,7 +193,7 @@ def test_at_the_end_all_tasks_are_answered(core: Core, bench: Bench, monkeypatch
         core.workers.start(number, bench.task(A))
     core.workers.close(PATIENCE)
     assert [core.next(), core.next()] == [Answered(1, Done(), True), Answered(2, Done(), True)]
-    assert not any(thread.is_alive() for thread in core.workers._threads)
+    assert not any(thread.is_alive() for thread in core.workers.threads)
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
@@ -201,7 +201,7 @@ def test_a_thread_that_ends_unexpectedly_ends_the_process(core: Core, bench: Ben
     core.refuses_events = True
     core.workers.start(1, PrepareSearch(bench.basis()))
     assert "the planner's thread for goals has ended: RuntimeError" in core.fatal.get(timeout=PATIENCE)
-    eventually(lambda: not core.workers._threads[0].is_alive())
+    eventually(lambda: not core.workers.threads[0].is_alive())
 
 
 def test_a_hurried_task_knows_it(core: Core, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

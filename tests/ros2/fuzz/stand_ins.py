@@ -9,13 +9,13 @@ from tests.ros2.fuzz.inputs import Input
 
 class Clock:
     def __init__(self) -> None:
-        self.now, self._epoch = 1_000.0, 1.7e9
+        self.now, self.epoch = 1_000.0, 1.7e9
 
     def monotonic(self) -> float:
         return self.now
 
     def time(self) -> float:
-        return self._epoch + self.now
+        return self.epoch + self.now
 
     def time_ns(self) -> int:
         return int(self.time() * 1e9)

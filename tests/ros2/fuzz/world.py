@@ -56,8 +56,8 @@ class World:
         kinds = {name: kind for name, (kind, _) in KINDS.items()}
         self.judge = Judge(arm, kinds, self.clock.monotonic, self.clock.time)
         self.network = Network(self.judge)
-        self._waiting = deque[tuple[str, bytes, bool]]()
-        self.daemon = Daemon(self.chance, self.clock, lambda key, data: self._waiting.append((key, data, True)))
+        self.waiting = deque[tuple[str, bytes, bool]]()
+        self.daemon = Daemon(self.chance, self.clock, lambda key, data: self.waiting.append((key, data, True)))
         self.pools: list[Pool] = []
         self.trial: Trial | None = None
         self.counts: Counter[str] = Counter()
@@ -110,21 +110,21 @@ class World:
     def restart(self) -> None:
         self.trial = None
         self._begin()
-        self._waiting.clear()
+        self.waiting.clear()
         self.ask()
 
     def reopen(self) -> None:
         """Lets the bridge show the arm again."""
         with self.in_place():
             self.ask()
-            self.hear(*self._waiting.popleft()[:2])
+            self.hear(*self.waiting.popleft()[:2])
 
     def hear(self, key: str, data: bytes) -> None:
         self._heard.append((key, data))
         self.bridge.run(lambda: not self._heard, lambda: None)
 
     def ask(self) -> None:
-        self._waiting.append(("arm", json.dumps(payloads()["arm"]).encode(), True))
+        self.waiting.append(("arm", json.dumps(payloads()["arm"]).encode(), True))
 
     def receive_messages(self, timeout: float) -> list[ReceivedMessage]:
         if self._heard:
@@ -138,8 +138,8 @@ class World:
         else:
             self._pass_turn()
         self.daemon.pass_time()
-        taken = list(self._waiting)
-        self._waiting.clear()
+        taken = list(self.waiting)
+        self.waiting.clear()
         for key, data, sure in taken:
             self.judge.receive_told(key, data, sure=sure)
         self.counts["daemon's"] += len(taken)
@@ -167,14 +167,14 @@ class World:
             key, data, sure = self.inputs.daemon_message()
             if key == "arm" and self.chance.random() < 0.9:
                 continue
-            self._waiting.append((key, data.replace(ZERO_ID, (self.daemon.goal or "").encode()), sure))
+            self.waiting.append((key, data.replace(ZERO_ID, (self.daemon.goal or "").encode()), sure))
             if key == "arm":
                 self.ask()
         if self.chance.random() < CROWDED:
             self._crowded_until = self.clock.now + CROWD
         if self.chance.random() < RESTS:
             self._rests_until, self._at_rest, self.faulty = self.clock.now + REST, True, False
-            self._waiting.append(("alive", b"", True))
+            self.waiting.append(("alive", b"", True))
             self.ask()
 
     def request(self, key: str, payload: Mapping[str, Any] | None, timeout: float, sending: Sending) -> Any:
@@ -234,7 +234,7 @@ class World:
                 if delivering and counts.total() > before:  # a dropped request is declined
                     replies.append(data)
                 else:
-                    self._on_reply(life, ask, replies, data)
+                    self.on_reply(life, ask, replies, data)
 
             handler(Query(given.payload, given.attachment, reply))
             trial, delivering = None, False
@@ -252,7 +252,7 @@ class World:
             raise Wrong(f"the callback of {given.name} failed")
         return replies
 
-    def _on_reply(self, life: int, ask: Ask, replies: list[bytes], data: bytes) -> None:
+    def on_reply(self, life: int, ask: Ask, replies: list[bytes], data: bytes) -> None:
         if life != self.network.life:
             return
         kill = self.chance.random() if self.faulty else 1.0

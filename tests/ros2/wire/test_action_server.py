@@ -53,7 +53,7 @@ def arm(connect: Connect) -> Arm:
 @pytest.fixture
 def client(connect: Connect, arm: Arm) -> Client:
     client = Client(connect().zenoh, "follow")
-    eventually(lambda: len(arm.node._session.tokens()) == 6)
+    eventually(lambda: len(arm.node.session.tokens()) == 6)
     return client
 
 
@@ -174,23 +174,23 @@ def test_the_end_of_the_node_answers_what_waits(arm: Arm, client: Client) -> Non
     arm.node.close()
     thread.join(PATIENCE)
     assert got == [Result(ABORTED, 0, "")]
-    assert arm.node._session.tokens() == []
+    assert arm.node.session.tokens() == []
 
 
 def test_goals_survive_the_routers_loss(arm: Arm, client: Client, router: Any) -> None:
     goal, _, _ = client.send_goal()
     router.stop()
     arm.goal().succeed({"error_string": "meanwhile"})
-    eventually(lambda: not arm.node._session.connected())
+    eventually(lambda: not arm.node.session.connected())
     router.start()
-    eventually(lambda: arm.node._session.connected())
+    eventually(lambda: arm.node.session.connected())
     # The first queries may find no service yet.
     assert eventually(lambda: client.get_result(goal)) == Result(SUCCEEDED, 0, "meanwhile")
 
 
 def test_requests_of_garbage_do_no_harm(arm: Arm, client: Client) -> None:
     for key in ("send_goal", "get_result", "cancel_goal"):
-        token = next(it for it in arm.node._session.tokens() if it.endpoint and it.endpoint.name.endswith(key))
+        token = next(it for it in arm.node.session.tokens() if it.endpoint and it.endpoint.name.endswith(key))
         assert token.endpoint
         for payload in (b"", b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 40):
             assert client.call(f"{key}/{token.endpoint.type}/{token.endpoint.hash}", payload) is not None

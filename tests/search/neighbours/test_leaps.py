@@ -10,8 +10,9 @@ from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.obstacles.scene import collides
 from hyperbit.controller.search.method import switch_costs
 from hyperbit.controller.search.neighbours.leaps import Leaps
+from hyperbit.controller.search.search_time import search_effort
 from hyperbit.controller.search.solution import Incumbent
-from hyperbit.controller.search.solver import Solver, search_effort
+from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.search.target import Problem
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, short_arms, spatial_arm

@@ -57,7 +57,7 @@ class BoardSide(AttachedBoards):
         self.opened: set[str] = set()
         super().__init__(wiring, timing, variants, agenda, send)
         self._drives = self._valves()
-        self._actuators = list(self.simulated._actuators.values())
+        self._actuators = list(self.simulated.actuators.values())
         self._levels = [(c.input is not None, c.input_contracted is not None, c.inverted) for c in wiring.channels]
         for actuator in self._actuators:
             actuator.observers.append(self._end_stop_changed)
@@ -157,7 +157,7 @@ class BoardSide(AttachedBoards):
         self.silent = any(self.simulated.board(board).silent for board in self.names)
 
     def emergency(self, board: str, code: int) -> None:
-        self.simulated.board(board)._send_emergency(code.to_bytes(2, "little") + bytes([1, 0, 0, 0, 0, 0]))
+        self.simulated.board(board).send_emergency(code.to_bytes(2, "little") + bytes([1, 0, 0, 0, 0, 0]))
 
     def mend(self) -> None:
         for board in self.names:

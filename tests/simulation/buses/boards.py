@@ -40,20 +40,20 @@ class AttachedBoards:
         self.see("time")
         self.simulated.receive(bus, frame, self._agenda.now)
         self.see(cause, belongs_to)
-        self._set_timer()
+        self.set_timer()
 
     def fault(self, verb: str, name: str, *numbers: float | str) -> None:
         self.step()
         perform(self.simulated, verb, name, *numbers)
         self.see("fault")
-        self._set_timer()
+        self.set_timer()
 
     def step(self) -> None:
         self.simulated.step(self._agenda.now)
         self.see("time")
-        self._set_timer()
+        self.set_timer()
 
-    def _set_timer(self) -> None:
+    def set_timer(self) -> None:
         due = self.simulated.next_due()
         if due < self._timer - 1e-12:
             self._timer = due

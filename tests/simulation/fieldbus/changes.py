@@ -68,23 +68,23 @@ def happen(world: BoardWorld, name: str) -> None:
         judged = world.wiring.boards[name]
         for sub in board.objects.subs(judged.base):
             board.objects.set_number(judged.base, sub, random.getrandbits(8) & random.getrandbits(8))
-            board._outputs.written(judged.base, sub)
-        board._drive()
+            board.outputs.written(judged.base, sub)
+        board.drive()
         world.site.boards.see("foreign")
     else:
-        described = board.objects._described
+        described = board.objects.described
         other = described[0x1000][0]._replace(default=random.choice([402, 0x0003_0192]).to_bytes(4, "little"))
-        board.objects._described = {**described, 0x1000: {0: other}}
+        board.objects.described = {**described, 0x1000: {0: other}}
 
 
 def _objects(world: BoardWorld, board: Any, judged: JudgedBoard) -> None:
     objects, random = board.objects, world.random
     for index, sub, values in random.sample((*CORRECTED, *MORE), random.choice([1, 1, 2, 4, 7])):
-        entry = objects._described.get(index, {}).get(sub)
+        entry = objects.described.get(index, {}).get(sub)
         if entry is None or not entry.writable:
             continue
         pdo = 0x1400 <= index < 0x1C00
-        if pdo and (objects._variant.read_only or objects._variant.changes or not objects._variant.synchronous):
+        if pdo and (objects.variant.read_only or objects.variant.changes or not objects.variant.synchronous):
             continue
         if index == 0x6207 and not judged.used >> 8 * (sub - 1) & 0xFF:
             continue  # START would switch off what is not used
@@ -99,12 +99,12 @@ def _objects(world: BoardWorld, board: Any, judged: JudgedBoard) -> None:
         world.note(f"{board.node}: {index:04X}h sub {sub} gets {value:X}h")
         objects.set_number(index, sub, value)
         if board.powered and board.state is not None:
-            board._outputs.written(index, sub)
-            board._supervision.written(index, world.agenda.now)
-    board._pdos.configure()
+            board.outputs.written(index, sub)
+            board.supervision.written(index, world.agenda.now)
+    board.pdos.configure()
     if board.state is not None:
-        board._drive()
-        world.site.boards._set_timer()
+        board.drive()
+        world.site.boards.set_timer()
     world.site.boards.see("foreign")
 
 
@@ -115,7 +115,7 @@ def _deaf(world: BoardWorld, board: Any) -> None:
     )
     if not objects.has(index):
         return
-    objects._variant = replace(objects._variant, deaf=objects._variant.deaf | {index})
+    objects.variant = replace(objects.variant, deaf=objects.variant.deaf | {index})
     objects.set_number(index, sub, value)
 
 
@@ -123,8 +123,8 @@ def mend(world: BoardWorld) -> None:
     for name in world.looks:
         board = world.site.board(name)
         board.objects.refused.clear()
-        board.objects._variant = world.drawn.variants[name]
-        board.objects._described = world.drawn.variants[name].objects
+        board.objects.variant = world.drawn.variants[name]
+        board.objects.described = world.drawn.variants[name].objects
         world.site.boards.fault("unsilence", name)
         world.site.boards.fault("power_cut", name)
         world.pass_time(0.02)

@@ -20,23 +20,23 @@ def found_of(board: Any, judged: JudgedBoard, explained: bool = True) -> Found:
     """Returns what SDO would read of a simulated board, and how it behaves; for `explained` see `Found`."""
     objects, variant = board.objects, board.variant
     values, writable = {}, set()
-    for index, entries in objects._described.items():
+    for index, entries in objects.described.items():
         for sub, entry in entries.items():
             if entry.size <= 4:
                 shown = objects.shown.get((index, sub))
                 values[index, sub] = shown() if shown else objects.number(index, sub)
             if entry.writable:
                 writable.add((index, sub))
-    errors = tuple(reversed(board.emergencies._present))
+    errors = tuple(reversed(board.emergencies.present))
     heartbeats, guards = objects.number(0x1017), objects.has(0x100C)
     return Found(
         state=_state(board),
         values=values,
         writable=frozenset(writable),
-        deaf=objects._variant.deaf,
+        deaf=objects.variant.deaf,
         refused={place: WORDS[code] for place, code in objects.refused.items()},
-        synchronous=objects._variant.synchronous,
-        starts=objects._variant.starts,
+        synchronous=objects.variant.synchronous,
+        starts=objects.variant.starts,
         errors=errors,
         keeps_loss=variant.keeps_loss,
         tells=bool(heartbeats or guards),

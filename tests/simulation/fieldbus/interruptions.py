@@ -227,7 +227,7 @@ class Interruptions:
 
         def happen() -> str:
             cob_id, board = self._board.objects.number(0x1014), self._board
-            present = board.emergencies._present  # the end of one of them is told as the end of all
+            present = board.emergencies.present  # the end of one of them is told as the end of all
             new = not present and board.state is not State.STOPPED
             told.append(new and cob_id == 0x80 + self._judged.node)
             self._board.emergencies.report(code)

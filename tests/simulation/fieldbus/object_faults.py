@@ -35,7 +35,7 @@ class ObjectFaults(FaultMaker):
         index, sub = self._random.choice(sorted(self._world.watching.watched(self._judged, self._found)))
         _, masks = needs_of(self._judged, self._found)
         before = objects.number(index, sub)
-        bits = masks.get((index, sub), (1 << 8 * objects._find(index, sub).size) - 1)
+        bits = masks.get((index, sub), (1 << 8 * objects.find(index, sub).size) - 1)
         if index == 0x1017:
             return None  # its heartbeats would be missing first
         if index in (0x1016, 0x100C):  # boards round times

@@ -76,13 +76,13 @@ class BoardWorld:
         return Look(
             lambda index, sub: (
                 board.objects.number(index, sub)
-                if board.objects.has(index) and sub in board.objects._described[index]
+                if board.objects.has(index) and sub in board.objects.described[index]
                 else 0
             ),
             board.objects.has,
             lambda: None if board.state is None else int(board.state),
             lambda: board.pins,
-            lambda: board._inputs,
+            lambda: board.inputs,
         )
 
     def _live(self) -> None:

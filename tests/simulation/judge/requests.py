@@ -247,7 +247,7 @@ class Requests:
             told = unpack(snapshot.locked)  # type: ignore[attr-defined]
             require(told == expected or not a.clear, f"after {asked} locked are {bits_of(told)}")
 
-        self._snapshots._claims.append(holds)
+        self._snapshots.claims.append(holds)
 
     def tick(self) -> None:
         """Finds stops and cancels without an answer."""

@@ -28,7 +28,7 @@ class Snapshots:
         self.begin()
 
     def begin(self) -> None:
-        self._claims: list[Callable[[Snapshot], None]] = []
+        self.claims: list[Callable[[Snapshot], None]] = []
         self.epoch_causes = 0
         self.locks_asked = 0
         self._shown_at = self._read_at = self._a.now
@@ -49,7 +49,7 @@ class Snapshots:
             changed = snapshot.epoch != epoch or snapshot.mode not in ("ready", "executing")
             require(changed or not a.clear, f"{text}, but the next snapshot has this epoch in mode {snapshot.mode}")
 
-        self._claims.append(holds)
+        self.claims.append(holds)
 
     def expect_mode(self, modes: tuple[str, ...], text: str) -> None:
         """Requires that the next snapshot has one of these modes."""
@@ -58,7 +58,7 @@ class Snapshots:
         def holds(snapshot: Snapshot) -> None:
             require(snapshot.mode in modes or not a.clear, f"{text}, but the next snapshot has mode {snapshot.mode}")
 
-        self._claims.append(holds)
+        self.claims.append(holds)
 
     def judge_states(self, measured: bytes, known: bytes, text: str, at: float | None = None) -> None:
         """Judges states that were measured now, or since a time [s], in a world without disturbances."""
@@ -107,7 +107,7 @@ class Snapshots:
         if a.clear:
             self._judge(snapshot, before)
         self.epoch_causes = self.locks_asked = 0
-        claims, self._claims = self._claims, []
+        claims, self.claims = self.claims, []
         for claim in claims:
             claim(snapshot)
         self._shown_at = a.now

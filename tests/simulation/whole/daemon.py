@@ -292,7 +292,7 @@ class Daemon:
         self.storage.full, self.storage.fills_at = False, None
         self.saved.fill(False)
         if self.process is not None:
-            self.process._actions_left = None
+            self.process.actions_left = None
             self.process.ledger.flush()
             self.judge.warnings.ledger(self.process.ledger.waits)
 

@@ -80,12 +80,12 @@ class KillableLoop(Loop):
         self._act(action)
 
     def _record(self, event: Event, now: float, wall: float, actions: Sequence[Action] | None) -> None:
-        assert self._recorder is not None
-        self._recorder(event, now, wall, actions)  # what the judge raises ends the run
+        assert self.recorder is not None
+        self.recorder(event, now, wall, actions)  # what the judge raises ends the run
 
     def due(self, retry_at: float) -> float:
         """Returns when the loop must run again without an event [s]."""
-        return min(self._wake, self._warnings_at, self._look_at, retry_at)
+        return min(self._wake, self.warnings_at, self.look_at, retry_at)
 
 
 class SteppedOutbox(Outbox):
@@ -110,7 +110,7 @@ class PlannerProcess:
         self._daemon, self._agenda, self._random = daemon, daemon.agenda, random
         self._next = math.inf  # time of the next round [s]
         self._idle_rounds, self._rang_at = 0, -math.inf
-        self._actions_left: int | None = None
+        self.actions_left: int | None = None
         arm, storage, post = daemon.arm, daemon.storage, self.post
         self.inbox = SimulatedInbox(self)
         self.link = SimulatedLink(
@@ -222,7 +222,7 @@ class PlannerProcess:
         self._idle_rounds, self._rang_at = self._idle_rounds + 1, self._agenda.now
         require(self._idle_rounds < MOST_IDLE, "the loop spins: the core wants to be woken again and again")
         try:
-            self.loop._round()
+            self.loop.round()
         except Killed:
             self.kill()
             return
@@ -239,17 +239,17 @@ class PlannerProcess:
         self._wake_at(self._agenda.now if self.link.ready else max(due, self._agenda.now) + 1e-5)
 
     def _before(self, action: Action) -> None:
-        if self._actions_left is not None:
-            self._actions_left -= 1
-            if self._actions_left < 0:
+        if self.actions_left is not None:
+            self.actions_left -= 1
+            if self.actions_left < 0:
                 raise Killed
         if isinstance(action, Reply):
-            require(action.number in self.loop._replies, f"{action} answers no request, or one that was answered")
+            require(action.number in self.loop.replies, f"{action} answers no request, or one that was answered")
         self._daemon.witness.acts(action)
 
     def kill_after(self, actions: int) -> None:
         """Kills the process after some further actions, perhaps in the middle of a step."""
-        self._actions_left = actions
+        self.actions_left = actions
 
     def kill(self) -> None:
         if self.alive:
@@ -262,7 +262,7 @@ class PlannerProcess:
     def _end(self, in_order: bool) -> None:
         """Ends the process after its goals."""
         if self.alive:
-            self._actions_left = None
+            self.actions_left = None
             self.loop.close()
             self.ledger.flush()
             self.outbox.close()

@@ -19,14 +19,14 @@ pytestmark = pytest.mark.arm(inrush=INRUSH)
 @pytest.fixture
 def counts(motions: Motions) -> list[int]:
     counts, before = list[int](), [motions.outputs]
-    take = motions._sync
+    take = motions.sync
 
     def sync(stamp: float) -> None:
         take(stamp)
         counts.append(int((motions.outputs != before[0]).sum()))
         before[0] = motions.outputs
 
-    motions._sync = sync  # type: ignore[method-assign]
+    motions.sync = sync  # type: ignore[method-assign]
     return counts
 
 

@@ -59,7 +59,7 @@ def test_the_arm_follows_and_bad_setpoints_change_nothing(
 def test_a_stream_that_rests_is_met(client: Observer, publisher: Publisher, boards: Simulation, arm: Arm) -> None:
     """The goal moves 0.1 away and stays there. The arm is there when switching ends."""
     goal = START[0] + 0.1, START[1]
-    publisher._way = lambda t: goal
+    publisher.way = lambda t: goal
     with publisher.streaming():
         eventually(lambda: _near(client, goal))
     client.wait_now("ready")

@@ -103,8 +103,8 @@ class Campaign:
     def _begin(self) -> Lives:
         system = self._stack.enter_context(closing(self._make()))
         self._lives = lives = Lives(system, self._stack)
-        buffered = self._stack.enter_context(closing(Buffered(lives.motions._listener)))
-        lives.motions._listener = buffered  # type: ignore[assignment]  # all that motions need
+        buffered = self._stack.enter_context(closing(Buffered(lives.motions.listener)))
+        lives.motions.listener = buffered  # type: ignore[assignment]  # all that motions need
         return lives
 
     def _reach(self, lives: Lives, moment: str, order: Order, scene: Scene) -> str:

@@ -116,8 +116,8 @@ class Lives:
 
     def masterless(self) -> bool:
         """Whether no board is operational, as all have lost the executor."""
-        with self.system.boards._lock:
-            boards = self.system.boards._boards._by_name.values()
+        with self.system.boards.lock:
+            boards = self.system.boards.boards.by_name.values()
             return all(board.state != 5 for board in boards)
 
     def check(self) -> None:

@@ -35,7 +35,7 @@ class Motions:
     def __init__(
         self, wiring: Wiring, listener: can.BusABC, flush: Callable[[], None], outputs: Sequence[int] = ()
     ) -> None:
-        self._listener, self._flush, self._layout = listener, flush, lay_out(wiring)
+        self.listener, self._flush, self._layout = listener, flush, lay_out(wiring)
         boards = self._layout.boards
         self._frames = assemble(boards, {k: board.rpdos for k, board in enumerate(boards)})
         count = len(wiring.channels)
@@ -57,7 +57,7 @@ class Motions:
         """Reads the frames since the last call, all that were sent by now."""
         self._flush()
         try:
-            while not self.deaf and (frame := self._listener.recv(0)) is not None:
+            while not self.deaf and (frame := self.listener.recv(0)) is not None:
                 if not frame.is_error_frame:
                     self.identifiers.append(frame.arbitration_id)
                     self._take(frame.arbitration_id, bytes(frame.data), frame.timestamp)
@@ -106,7 +106,7 @@ class Motions:
                 if data[1] in (0, board.node):
                     self._set(k, data[0] == Command.START)
         elif cob_id == cia301.SYNC:
-            self._sync(stamp)
+            self.sync(stamp)
         elif function == cia301.RPDO1:
             self._latch(cob_id, data)
         elif data:  # a remote frame of node guarding has none
@@ -133,7 +133,7 @@ class Motions:
                     bits = [bit for bit in frame.bits if bit.line & self._layout.boards[k].output_lines]
                     self._latched[k] = {bit.line.bit_length() - 1: int(number & bit.place > 0) for bit in bits}
 
-    def _sync(self, stamp: float) -> None:
+    def sync(self, stamp: float) -> None:
         self.syncs.append(stamp)
         after = self.outputs.copy()
         for states in self._latched.values():

@@ -36,7 +36,7 @@ class Publisher:
         self, session: zenoh.Session, client: Observer, name: str,
         way: Callable[[float], tuple[float, float]] = circle,
     ) -> None:  # fmt: skip
-        self._session, self._client, self._key, self._way = session, client, f"hyperbit/{name}/setpoint", way
+        self._session, self._client, self._key, self.way = session, client, f"hyperbit/{name}/setpoint", way
         self.position = way(0.0)
 
     def put(self, payload: dict[str, Any] | bytes) -> None:
@@ -49,7 +49,7 @@ class Publisher:
         """
         t, last, k = 0.0, time.monotonic(), 0
         while not ended(t):
-            self.position = self._way(t)
+            self.position = self.way(t)
             self.put({"position": self.position, "stamp": time.time()})
             time.sleep(0.5 / RATE)
             if bad:

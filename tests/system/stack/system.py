@@ -107,9 +107,9 @@ class System:
 
     def _start_boards(self) -> Simulation:
         boards = Simulation(self.wiring, self.timing)
-        for port in boards._ports.values():
-            assert port._bus
-            vcan.give_way(port._bus, vcan.FIRST)  # in the queues of an interface, which theirs would not be in
+        for port in boards.ports.values():
+            assert port.bus
+            vcan.give_way(port.bus, vcan.FIRST)  # in the queues of an interface, which theirs would not be in
         boards.start()
         self._closing.callback(boards.stop)
         return boards
@@ -181,8 +181,8 @@ class System:
             yield listening
 
     def drives(self) -> list[int]:
-        with self.boards._lock:
-            return self.boards._boards.drives()
+        with self.boards.lock:
+            return self.boards.boards.drives()
 
     def counts(self) -> list[int]:
         switches = read(self.ledger)[0]

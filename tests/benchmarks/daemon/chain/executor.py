@@ -26,7 +26,7 @@ def note_ticks(record: Record) -> None:
     ticked, note = Timekeeper.ticked, record.note
 
     def noting(keeper: Timekeeper, began: float, ended: float) -> None:
-        note(began, began - keeper._next, ended - began)
+        note(began, began - keeper.next_tick, ended - began)
         ticked(keeper, began, ended)
 
     Timekeeper.ticked = noting  # type: ignore[method-assign]
@@ -46,13 +46,13 @@ def note_halts(record: Record) -> None:
 
 def note_programs(record: Record) -> None:
     """Records the time at which each program was read [s]."""
-    take = ClientRequests._receive_program
+    take = ClientRequests.receive_program
 
     def noting(requests: ClientRequests, message: Program, now: float) -> None:
         record.note(time.monotonic())
         take(requests, message, now)
 
-    ClientRequests._receive_program = noting  # type: ignore[method-assign]
+    ClientRequests.receive_program = noting  # type: ignore[method-assign]
 
 
 if __name__ == "__main__":

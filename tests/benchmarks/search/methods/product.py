@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from hyperbit.controller.bench.methods.planar import Array
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.search.method import Method
-from hyperbit.controller.search.solution import SearchTime, Solution
-from hyperbit.controller.search.solver import TIMEOUT, Solver
+from hyperbit.controller.search.search_time import TIMEOUT, SearchTime
+from hyperbit.controller.search.solution import Solution
+from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.densities import Densities
 
 

@@ -230,7 +230,7 @@ def test_a_refused_board_in_its_error_state_switches_no_output_on():
     world = World(COILS, variants=BOARD).up()
     pins = stays_operational(world)
     board = world.boards.board("can0/5")
-    board.variant = board.objects._variant = replace(board.variant, deaf=frozenset({0x1029}))
+    board.variant = board.objects.variant = replace(board.variant, deaf=frozenset({0x1029}))
     [sentence] = boot(world)
     assert "1029h" in sentence
     assert (pins, board.state, board.objects.number(0x6206, 1)) == ([0b10, 0], State.OPERATIONAL, 0xFF)

@@ -18,7 +18,7 @@ CHANGING = (0x1001, 0x1003, 0x6000)  # values that the board sets itself
 def values(world: World) -> dict[tuple[int, int], bytes]:
     board = world.boards.board("can0/5")
     places = [(index, sub) for index, subs in board.variant.objects.items() for sub in subs if index not in CHANGING]
-    return {place: board.objects._value(*place) for place in places}
+    return {place: board.objects.value(*place) for place in places}
 
 
 def test_a_board_with_an_error_is_pre_operational_again():
@@ -49,7 +49,7 @@ def test_an_operational_board_is_operational_again_and_its_outputs_hold():
     world.wiring = replace(world.wiring, on_loss="contract")
     world.new_master()
     board = world.boards.board("can0/5")
-    board.variant = board.objects._variant = replace(board.variant, deaf=frozenset({0x1029}))
+    board.variant = board.objects.variant = replace(board.variant, deaf=frozenset({0x1029}))
     before = values(world)
     [sentence] = boot(world)
     assert "1029h" in sentence

@@ -77,7 +77,7 @@ def test_a_guarded_board_keeps_its_outputs_while_it_is_booted_again_on_a_slow_bu
 def test_a_stopped_board_boots_also_if_the_boot_timeout_is_as_short_as_the_first_question():
     timing = Timing(boot_timeout=0.5)
     world = World(one_board(), variants={"can0/5": VARIANTS["guarding-with-1029h"]}, timing=timing)
-    world.boards.board("can0/5")._obey(Command.STOP)
+    world.boards.board("can0/5").obey(Command.STOP)
     world.up()
     assert world.boards.board("can0/5").state is State.OPERATIONAL
 

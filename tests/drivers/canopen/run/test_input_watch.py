@@ -92,7 +92,7 @@ def test_the_buses_work_on_when_echoes_are_lost_in_an_overrun() -> None:
     world = World([Channel("5.left", "can0", 5, 0, 0)]).up()
     bus = world.buses["can0"]
     bus.echoes = False
-    world.until(lambda: world.master._links["can0"].pending.count > 0)
+    world.until(lambda: world.master.links["can0"].pending.count > 0)
     world.run(0.02)
     bus.echoes = True
     world.master.receive_event(BusOverrun("can0"), world.now)

@@ -52,7 +52,7 @@ def test_a_board_that_does_not_follow_stays_unread_until_it_is_a_fault():
 
 def test_a_board_that_follows_each_switch_late_is_no_fault():
     world = World(BLIND).up()
-    world.boards.board("can0/5")._pdos.receive = lambda cob_id, data, now: True
+    world.boards.board("can0/5").pdos.receive = lambda cob_id, data, now: True
     for states in ((1, 1), (0, 1), (1, 1)):
         world.commit(*states)
         world.run(0.25)  # five wrong reads; the eighth in a row is a fault
@@ -124,7 +124,7 @@ def pulsed(length: float, latency: float = 0.001, **options: Any) -> World:
 @pytest.mark.parametrize("length", [0.05, 0.2])
 def test_a_pulse_that_a_board_does_not_follow_is_noticed_inside_the_pulse(length):
     world = pulsed(length)
-    world.boards.board("can0/5")._pdos.receive = lambda cob_id, data, now: False
+    world.boards.board("can0/5").pdos.receive = lambda cob_id, data, now: False
     pulse(world, length)
     world.run(1.0)
     assert world.codes() == ["not-switched"]
@@ -142,7 +142,7 @@ def test_a_pulse_that_was_read_back_is_not_missed():
 
 def test_a_pulse_that_a_board_follows_late_is_no_fault():
     world = pulsed(0.05)
-    world.boards.board("can0/5")._pdos.receive = lambda cob_id, data, now: True
+    world.boards.board("can0/5").pdos.receive = lambda cob_id, data, now: True
     world.master.commit(1, world.now)
     world.frames()
     world.until(lambda: (0x585, "4f 00 62 01 00 00 00 00") in world.frames(sdo=True))
@@ -197,7 +197,7 @@ def test_pulses_of_a_board_that_is_not_verified_are_not_missed():
 
 def loses(world: World, times: int) -> None:
     """The board loses the next RPDOs that switch everything off."""
-    pdos, left = world.boards.board("can0/5")._pdos, [times]
+    pdos, left = world.boards.board("can0/5").pdos, [times]
     receive = pdos.receive
 
     def lossy(cob_id: int, data: bytes, now: float) -> bool:

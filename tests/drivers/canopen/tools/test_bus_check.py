@@ -38,7 +38,7 @@ def test_every_board_says_what_it_is_and_nothing_on_it_changes():
     assert (other.board, other.code) == ("can0/9", "")
     assert "1000h sub 0 is 00020191h, without the bit of digital inputs" in other.text
     held = world.boards.board("can0/5").objects
-    assert all(held.number(*place) == fresh.number(*place) for place in held._values)
+    assert all(held.number(*place) == fresh.number(*place) for place in held.values)
     assert not any(cob_id < 0x580 for cob_id, _ in world.frames())
 
 
@@ -83,7 +83,7 @@ def test_a_stopped_board_is_said_to_be_stopped(variant):
     world = World(two_boards(), variants={"can0/5": VARIANTS[variant]}).up()
     if variant != "standard":  # guarded: no heartbeat tells the state
         world.boards.board("can0/5").objects.set_number(0x1017, 0, 0)
-        world.boards.board("can0/5")._supervision.begin(world.now)
+        world.boards.board("can0/5").supervision.begin(world.now)
     world.stalled = True
     world.say(cia301.NMT, bytes([cia301.Command.STOP, 5]))
     world.run(1.0)

@@ -141,7 +141,7 @@ def test_a_board_that_does_not_store_keeps_its_node_id() -> None:
     wire.lss.select(None)
     with pytest.raises(LssRefused, match="store: no board answers by LSS"):
         wire.lss.configure(3, 9, None)
-    assert (slave.stored, slave._pending) == ((3, 0), (3, 0))
+    assert (slave.stored, slave.pending) == ((3, 0), (3, 0))
 
 
 def test_a_board_on_this_computer_is_heard_though_its_frames_are_echoes() -> None:
@@ -158,19 +158,19 @@ def test_a_board_on_this_computer_is_heard_though_its_frames_are_echoes() -> Non
 class CanopenNodeSlave(LssSlave):
     """Answers each fast scan while it is selected, as CANopenNode does."""
 
-    def _scan(self, *request: int) -> None:
+    def scan(self, *request: int) -> None:
         if self.state:
             self._answer(b"\x4f")
         else:
-            super()._scan(*request)
+            super().scan(*request)
 
 
 class LelySlave(LssSlave):
     """Answers fast scans whatever its node id is, as Lely does."""
 
-    def _scan(self, *request: int) -> None:
+    def scan(self, *request: int) -> None:
         node, self.node = self.node, UNCONFIGURED
-        super()._scan(*request)
+        super().scan(*request)
         self.node = node
 
 

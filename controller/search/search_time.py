@@ -1,0 +1,45 @@
+"""How long a search may take."""
+
+import math
+from typing import NamedTuple
+
+from hyperbit.controller.search.clock import EFFORT, WALL, Clock, WorkClock
+
+TIMEOUT = 0.05  # [s] for one search
+UNFOUND = 1.0  # [s] for a goal that is not reached in the first time, without a deadline or if others wait
+
+
+class SearchTime(NamedTuple):
+    """How long one minimum-switch search may take, from its start [s]. A proof ends it sooner."""
+
+    first: float  # time in any case, except for `most`
+    per_switch: float = 0.0  # further time for each switch that, by the lower bound, may still be saved
+    unfound: float = 0.0  # time as long as no configuration within the tolerances is found
+    most: float = math.inf  # the deadline
+    by_work: bool = False  # whether all times are work, see WorkClock
+
+    def clock(self) -> Clock:
+        return WorkClock() if self.by_work else WALL
+
+    def allowed(self, gap: float) -> float:
+        """Returns the time of a search [s] for the number of switches that may still be saved.
+
+        The gap is infinite if no configuration is found.
+        """
+        found = self.first + gap * self.per_switch if gap < math.inf else max(self.first, self.unfound)
+        return min(found, self.most)
+
+
+def search_time(first: float, per_switch: float = 0.0, deadline: float | None = None) -> SearchTime:
+    """Returns the time of a search that goes on until a deadline as long as nothing is found; None: until UNFOUND."""
+    if deadline is None:
+        return SearchTime(first, per_switch, UNFOUND)
+    return SearchTime(first, per_switch, deadline, deadline)
+
+
+def search_effort(effort: float) -> SearchTime:
+    """Returns the work of a search that goes on until that of UNFOUND as long as nothing is found.
+
+    One unit of `effort` takes about EFFORT seconds on an ordinary computer.
+    """
+    return search_time(effort * EFFORT)._replace(by_work=True)
