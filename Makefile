@@ -17,10 +17,15 @@ panel: $(VENV)/kernels $(VENV)/panel
 
 # Tests in real time mostly wait, so they run beside the others, which yield the processors to them. If one part fails,
 # the other one still runs.
-test: check $(VENV)/test-kernels
+test: $(VENV)/test-kernels
+	$(MAKE) --no-print-directory --jobs 2 check test-bytecode
 	$(MAKE) --no-print-directory --keep-going --jobs 2 test-real-time test-others
 
-.PHONY: test-real-time test-others
+.PHONY: test-bytecode test-real-time test-others
+# Rewrites the assertions of all tests once. Otherwise each process of the tests would. What fails here fails there, too.
+test-bytecode:
+	-$(BIN)/pytest --collect-only --ignore tests/browser > /dev/null
+
 REAL_TIME := tests/system
 # Prints its report when it is done.
 test-real-time:

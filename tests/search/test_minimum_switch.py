@@ -142,7 +142,7 @@ def test_heavy_actuators_rest(arm, densities):
     weights = np.where(np.arange(48) < 24, 10.0, 1.0)
     previous = np.zeros(16, dtype=np.int64)
     rng = np.random.default_rng(8)
-    goals = arm.manipulator.tips(rng.integers(0, 8, (10, 16)))[:, :2, 3]
+    goals = arm.manipulator.tips(rng.integers(0, 8, (4, 16)))[:, :2, 3]
 
     def lower_switches(solver: Solver) -> int:
         found = [solver.solve(solver.target(goal, 0.002), previous, timeout=10.0).configuration for goal in goals]
