@@ -23,7 +23,7 @@ test: $(VENV)/test-kernels
 
 .PHONY: test-bytecode test-real-time test-others
 # Rewrites the assertions of all tests once. Otherwise each process of the tests would. What fails here fails there, too.
-test-bytecode:
+test-bytecode: $(VENV)/installed
 	-$(BIN)/pytest --collect-only --ignore tests/browser > /dev/null
 
 REAL_TIME := tests/system
