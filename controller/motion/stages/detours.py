@@ -148,6 +148,25 @@ class Graph:
         return tree
 
 
+def lowest(clearance: BodyClearance, start: Configuration, ends: Index) -> Iterator[NoWay | None]:
+    """Yields None until a graph of the lowest modules has a proof; for ever if there is none."""
+    counts = np.cumsum([len(module.actuators) for module in clearance.manipulator.modules])
+    last = LOWEST - HIGHER
+    for modules in range(1, len(counts)):
+        if counts[modules - 1] < last + HIGHER:
+            continue
+        last, met = counts[modules - 1], False
+        graph = Graph(clearance, start, ends, modules)
+        searches = [graph.grown(1), graph.flooded()]
+        while not met:
+            results = list(map(next, searches))
+            met = any(isinstance(result, Meeting) for result in results)
+            proven = any(isinstance(result, NoWay) for result in results)
+            yield NoWay(f"its modules 1 to {modules} cannot pass") if proven and not met else None
+    while True:
+        yield None
+
+
 class Detours:
     """Ways from one configuration to any of several.
 
@@ -176,7 +195,7 @@ class Detours:
         self._whole = Graph(clearance, start, ends, len(start), once=once, both=complete and not once)
         self._proofs = [self._whole.flooded()]
         if complete and not once:
-            self._proofs.append(self._lowest())
+            self._proofs.append(lowest(clearance, start, ends))
 
     def search(self, late: Late) -> Detour | NoWay | None:
         """Returns a way or a proof; None if there is neither in time. Further calls may find other ways.
@@ -199,24 +218,6 @@ class Detours:
         """Returns the way to a configuration (B,) that NoWay has listed."""
         tree, bits = self._whole.start, packed(self._arm.actuator_states(configuration)[None])[0]
         return np.array(route(tree, find(tree, bits))[::-1], dtype=np.int64)
-
-    def _lowest(self) -> Iterator[NoWay | None]:
-        """Yields None until a graph of the lowest modules has a proof; for ever if there is none."""
-        counts = np.cumsum([len(module.actuators) for module in self._arm.modules])
-        last = LOWEST - HIGHER
-        for modules in range(1, len(counts)):
-            if counts[modules - 1] < last + HIGHER:
-                continue
-            last, met = counts[modules - 1], False
-            graph = Graph(self._clearance, self._start, self._ends, modules)
-            searches = [graph.grown(1), graph.flooded()]
-            while not met:
-                results = list(map(next, searches))
-                met = any(isinstance(result, Meeting) for result in results)
-                proven = any(isinstance(result, NoWay) for result in results)
-                yield NoWay(f"its modules 1 to {modules} cannot pass") if proven and not met else None
-        while True:
-            yield None
 
     def _direct(self) -> Iterator[Detour | None]:
         """Yields None until a walk to one of the first ends is found on which no actuator switches twice."""

@@ -1,6 +1,8 @@
 """Detours: ways to any of several ends, and proofs that there is none."""
 
+import gc
 import itertools
+import weakref
 
 import numpy as np
 import pytest
@@ -62,6 +64,21 @@ def test_an_end_that_cannot_be_reached_is_proven_so_and_all_that_can_is_listed()
     if found.reached is not None:
         assert [0, 0] in found.reached.tolist()
         assert [1, 1] not in found.reached.tolist()
+
+
+def test_the_memory_of_a_search_is_free_when_it_is_forgotten():
+    """The collector knows nothing of the size of arrays: tables that wait for it filled the memory of a planner."""
+    manipulator = arm([hinge(-0.5, 0.5, 0.5)] * 4)
+    clearance = BodyClearance(manipulator, sphere("post", (0.97, 0.0), 0.05))
+    gc.disable()
+    try:
+        detours = Detours(clearance, np.zeros(4, dtype=np.int64), np.ones((1, 4), dtype=np.int64))
+        assert detours.search(never) is not None
+        forgotten = weakref.ref(detours)
+        del detours
+        assert forgotten() is None
+    finally:
+        gc.enable()
 
 
 def test_without_all_ends_only_what_can_be_reached_is_a_proof():
