@@ -117,14 +117,14 @@ class RepeatedGoals:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._forget_at = clock, -float("inf")
-        self._known: dict[bytes, ArrivedGoal] = {}
+        self.known: dict[bytes, ArrivedGoal] = {}
 
     def receive_goal(self, keys: list[bytes], reply: Reply, request: Callable[[Reply], object]) -> None:
         """Calls `request` for a new goal, with the receiver of its answer; repeats the answer to a known goal."""
         goal = ArrivedGoal(keys, self._clock())
         goal.await_answer(reply)
         for key in keys:
-            known = self._known.setdefault(key, goal)
+            known = self.known.setdefault(key, goal)
             if known is not goal:  # the goal is already known by another key; it gets the same answer
                 known.at = self._clock()
                 known.await_answer(goal.store_answer)
@@ -133,12 +133,12 @@ class RepeatedGoals:
             request(partial(self._answered, goal))
         except BaseException:
             for key in keys:
-                self._known.pop(key, None)
+                self.known.pop(key, None)
             raise
 
     def ended(self, goal: str | None) -> None:
         """Forgets the payload of a goal that has ended. For the thread that gives the answers."""
-        for known in set(self._known.copy().values()):
+        for known in set(self.known.copy().values()):
             if known.answer is not None and known.answer.get("id") == goal:
                 known.ended = True
                 self._forget_payload(known)
@@ -151,13 +151,13 @@ class RepeatedGoals:
             self._forget_payload(goal)
         if goal.at >= self._forget_at:
             self._forget_at = goal.at + FORGET_EVERY
-            for key, known in self._known.copy().items():
+            for key, known in self.known.copy().items():
                 if known.ended and known.at + REMEMBERED < goal.at:
-                    self._known.pop(key, None)
-        for key in list(self._known)[:-MOST]:
-            self._known.pop(key, None)
+                    self.known.pop(key, None)
+        for key in list(self.known)[:-MOST]:
+            self.known.pop(key, None)
 
     def _forget_payload(self, goal: ArrivedGoal) -> None:
         for key in goal.keys:
-            if key.startswith(b"payload") and self._known.get(key) is goal:
-                self._known.pop(key, None)
+            if key.startswith(b"payload") and self.known.get(key) is goal:
+                self.known.pop(key, None)

@@ -64,7 +64,7 @@ class Outbox:
     ) -> None:
         self._prefix, self._lease, self._clock = prefix, lease, clock
         self._ended, self._mark, self._post, self._fatal = ended, mark, post, fatal
-        self._last_reading, self.wait_until = clock(), -float("inf")  # last clock reading, end of a wait [s]
+        self.last_reading, self.wait_until = clock(), -float("inf")  # last clock reading, end of a wait [s]
         self._reached_from = clock() + RECONNECTED  # time at which clients have reconnected [s]
         # Any thread appends, only the thread of the outbox takes. Both are atomic.
         self._first, self._second, self._inherited = deque[Item](), deque[Item](), deque[Item]()
@@ -73,7 +73,7 @@ class Outbox:
         self._wake: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._full = self._closing = False
         self._poses = 0  # number of changes
-        self._publishers = {
+        self.publishers = {
             key: session.declare_publisher(f"{prefix}/{key}", encoding=JSON, congestion_control=control)
             for key, control in PUBLISHED.items()
         }
@@ -104,7 +104,7 @@ class Outbox:
 
     def recorded(self) -> bool:
         try:
-            return bool(self._publishers["@request"].matching_status.matching)  # type: ignore[attr-defined]  # no bool
+            return bool(self.publishers["@request"].matching_status.matching)  # type: ignore[attr-defined]  # no bool
         except zenoh.ZError:  # the session is closed
             return False
 
@@ -153,7 +153,7 @@ class Outbox:
         item = self._next()
         if item is not None:
             self._send(*item)
-            self._last_reading = self._clock()  # a wait for a slow peer is no standstill
+            self.last_reading = self._clock()  # a wait for a slow peer is no standstill
             return 0.0
         if self._closing:
             self._post_published(np.inf)
@@ -178,11 +178,11 @@ class Outbox:
 
     def _stood_still(self) -> bool:
         now = self._clock()
-        if now - self._last_reading > self._lease / 2:  # keep-alives are sent four times in a lease
+        if now - self.last_reading > self._lease / 2:  # keep-alives are sent four times in a lease
             self.wait_until = now + RECONNECTED
-            standstill = now - self._last_reading
+            standstill = now - self.last_reading
             log.warning("the process stood still for %.1f s: results wait for %g s", standstill, RECONNECTED)
-        self._last_reading = now
+        self.last_reading = now
         return now < self.wait_until
 
     def _send(self, target: zenoh.Query | PublishResult | None, key: str, payload: Payload) -> None:
@@ -193,7 +193,7 @@ class Outbox:
             self._mark(target.identity, msgspec.json.decode(data))
         try:
             if target is None or isinstance(target, PublishResult):
-                self._publishers[key].put(data)
+                self.publishers[key].put(data)
             else:
                 with target:
                     target.reply(f"{self._prefix}/{key}", data, encoding=JSON)

@@ -17,17 +17,17 @@ class LogLimit(logging.Filter):
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self._clock = clock
-        self._kinds: dict[tuple[str, str], tuple[float, int]] = {}  # begin of the count, and number of lines
+        self.kinds: dict[tuple[str, str], tuple[float, int]] = {}  # begin of the count, and number of lines
 
     def filter(self, record: logging.LogRecord) -> bool:
         kind, now = (record.name, str(record.msg)[:200]), self._clock()
-        begin, count = self._kinds.pop(kind, (now, 0))
+        begin, count = self.kinds.pop(kind, (now, 0))
         dropped = max(count - MOST_LINES, 0)
         if now - begin >= WITHIN:
             begin, count = now, 0
             if dropped:
                 record.msg = f"{record.msg} ({dropped} such lines were dropped)"
-        self._kinds[kind] = begin, count + 1
-        if len(self._kinds) > MOST_KINDS:
-            del self._kinds[next(iter(self._kinds))]
+        self.kinds[kind] = begin, count + 1
+        if len(self.kinds) > MOST_KINDS:
+            del self.kinds[next(iter(self.kinds))]
         return count < MOST_LINES

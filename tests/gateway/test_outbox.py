@@ -149,7 +149,7 @@ def test_a_standstill_is_told_with_its_length(
 
 def test_a_result_that_was_not_sent_does_not_count_as_published(session: FakeSession, results: Results) -> None:
     outbox = results.outbox()
-    outbox._publishers["result"].put = lambda data: 1 / 0  # type: ignore[method-assign]
+    outbox.publishers["result"].put = lambda data: 1 / 0  # type: ignore[method-assign]
     outbox.publish_result(result())
     outbox.publish("feedback", {"n": 1})
     outbox.close(PATIENCE)
@@ -315,7 +315,7 @@ def test_after_a_standstill_results_wait_for_peers_and_others_do_not(session: Fa
     assert session.sent == [("p/state", {"poses": 0}), ("p/arm", {"name": "arm"})]
     for _ in range(int(RECONNECTED / 0.9) + 1):
         turned = now[0] = now[0] + 0.9
-        eventually(lambda turned=turned: outbox._last_reading == turned)
+        eventually(lambda turned=turned: outbox.last_reading == turned)
     eventually(lambda: len(session.sent) == 5)
     assert {payload["id"] for _, payload in session.sent[2:]} == {"a", "b", "of the planner before"}
     outbox.close()

@@ -123,7 +123,7 @@ def test_memory_is_bounded(bench: Bench) -> None:
     for k in range(3 * MOST):
         bench.send(b'{"id": "%d"}' % k, b"%d" % k)
         bench.accept()
-    assert len(bench.goals._known) <= MOST + 2
+    assert len(bench.goals.known) <= MOST + 2
 
 
 def test_a_goal_that_could_not_be_requested_may_be_sent_again(bench: Bench) -> None:

@@ -29,4 +29,4 @@ def test_texts_that_differ_each_time_use_bounded_memory() -> None:
     limit = LogLimit()
     for k in range(3000):
         limit.filter(logging.LogRecord("panel", logging.WARNING, "", 0, f"text {k}", (), None))
-    assert len(limit._kinds) <= 1000
+    assert len(limit.kinds) <= 1000

@@ -49,11 +49,11 @@ class FileJournal(SwitchJournal):
 
     def __init__(self, path: Path, actuators: Sequence[str], memory: IO[bytes] | None = None) -> None:
         super().__init__(len(actuators))
-        self._path, self._labels, self._number = path, zlib.crc32("\n".join(actuators).encode()), 0
+        self._path, self._labels, self.number = path, zlib.crc32("\n".join(actuators).encode()), 0
         self._octets = (len(actuators) + 7) // 8
         self._record = struct.Struct(f"<QI{len(actuators)}Q{self._octets}s{self._octets}s")
         slot = -(-(CRC + self._record.size) // PAGE) * PAGE
-        self._slots, length = (PAGE, PAGE + slot), PAGE + 2 * slot
+        self.slots, length = (PAGE, PAGE + slot), PAGE + 2 * slot
         self.copier: subprocess.Popen[bytes] | None = None
         self._damaged = self._unsaved = ""
         self._shared = None
@@ -138,24 +138,24 @@ class FileJournal(SwitchJournal):
     def _write(self) -> None:
         if self.mapped.closed:
             return
-        self._number += 1
+        self.number += 1
         intended, after = (bits.to_bytes(self._octets, "little") for bits in (self._intended, self._after))
-        body = self._record.pack(self._number, self._labels, *self.counts, intended, after)
-        begin = self._slots[self._number % 2]
+        body = self._record.pack(self.number, self._labels, *self.counts, intended, after)
+        begin = self.slots[self.number % 2]
         self.mapped[begin : begin + CRC + len(body)] = zlib.crc32(body).to_bytes(CRC, "little") + body
 
     def _read(self, content: bytes) -> bool:
         """Reads the newest intact record if it is newer; returns whether a record of these actuators exists."""
         found = False
-        for begin in self._slots:
+        for begin in self.slots:
             body = content[begin + CRC : begin + CRC + self._record.size]
             intact = zlib.crc32(body).to_bytes(CRC, "little") == content[begin : begin + CRC]
             if len(body) < self._record.size or not intact:
                 continue
             number, labels, *counts, intended, after = self._record.unpack(body)
             found |= labels == self._labels
-            if labels == self._labels and number > self._number:
-                self._number, self.counts = number, list(counts)
+            if labels == self._labels and number > self.number:
+                self.number, self.counts = number, list(counts)
                 self._intended, self._after = (int.from_bytes(bits, "little") for bits in (intended, after))
         return found
 

@@ -71,9 +71,9 @@ def test_a_torn_record_leaves_the_previous_one(tmp_path_factory: pytest.TempPath
     for k in range(n):
         journal.intend(k, k + 1)
         journal.resolve(k + 1)
-    last, number = list(journal.counts), journal._number
+    last, number = list(journal.counts), journal.number
     journal.intend(0, 1)
-    begin = journal._slots[(number + 1) % 2]
+    begin = journal.slots[(number + 1) % 2]
     journal.mapped[begin + at] ^= 0xFF
     killed(journal)
     journal = FileJournal(path, LABELS)

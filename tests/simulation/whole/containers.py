@@ -20,7 +20,7 @@ HISTORIES = {  # greatest lengths of those that keep what is over
     "Results._told": 10**6,  # one identity for each goal of the process
     "Rate._times": 100,
 }
-OPAQUE = ("_manipulator", "manipulator", "_arm", "_description", "_densities", "_publishers", "_tracker", "_filter")
+OPAQUE = ("_manipulator", "manipulator", "_arm", "_description", "_densities", "publishers", "_tracker", "_filter")
 
 
 def check_containers(process: PlannerProcess) -> None:
