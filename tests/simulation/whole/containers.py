@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 ROOMS = ("hyperbit.controller.planning.core", "hyperbit.controller.planning.loop", "hyperbit.controller.gateway")
 MOST = 24  # entries of a container when nothing is asked for
 HISTORIES = {  # greatest lengths of those that keep what is over
-    "Admission._canceled": 256,
-    "Admission._unresolved": 256,
-    "RepeatedGoals._known": 1_000,
+    "Admission.canceled": 256,
+    "Admission.unresolved": 256,
+    "RepeatedGoals.known": 1_000,
     "Results._told": 10**6,  # one identity for each goal of the process
     "Rate._times": 100,
 }
