@@ -20,6 +20,7 @@ Singles = NDArray[np.float32]
 Integers = NDArray[np.int64]
 
 LISTED = 1 << 14  # keys that are listed at once
+TURN = 1 << 22  # points compared until the caller gets a turn: about 10 ms
 SPLIT = 2  # lowest modules whose states divide the configurations into parts, for threads
 
 
@@ -157,9 +158,9 @@ def list_serving(
     radius: float,
     found: Integers,
 ) -> int:
-    """Lists the next configurations whose tips are near a position; returns their number, 0 at the end of the walk.
+    """Lists the next configurations whose tips are near a position; returns their number, also 0 after a turn.
 
-    Returns -1 if `found` is too small.
+    Returns -1 if `found` is too small. The walk is over when `walk.at` is below its first module.
 
     Args:
         chain: the arm.
@@ -175,8 +176,9 @@ def list_serving(
     chosen, frames, keys, costs, kinds = walk.chosen, walk.frames, walk.keys, walk.costs, chain.costs.shape[1]
     points, cut, modules, planar = tips.points, tips.cut, len(chain.states), frames.shape[1] == 4
     far, count, d, first = radius + chain.blur, 0, walk.at[0], min(SPLIT, cut - 1)
-    square = far * far
-    while d >= first:
+    square, compared = far * far, 0
+    while d >= first and compared < TURN:
+        compared += 1
         chosen[d] += 1
         if chosen[d] == chain.states[d]:
             chosen[d] = -1
@@ -202,7 +204,9 @@ def list_serving(
         for k in range(max(k0, 0), min(k1, highs[2] - 1) + 1):
             for j in range(max(j0, 0), min(j1, highs[1] - 1) + 1):
                 row = (k * highs[1] + j) * highs[0]
-                for m in range(tips.starts[row + i0], tips.starts[row + i1 + 1] if i1 >= i0 else 0):
+                begin, end = tips.starts[row + i0], tips.starts[row + i1 + 1] if i1 >= i0 else 0
+                compared += max(end - begin, 0)
+                for m in range(begin, end):
                     if (points[0, m] - x) ** 2 + (points[1, m] - y) ** 2 + (points[2, m] - z) ** 2 > square:
                         continue
                     if limit < np.inf:
@@ -224,9 +228,13 @@ def list_serving(
 def serving(
     chain: Chain, tips: UpperTips, walk: Walk, near: Array, limit: float, position: Array, radius: float
 ) -> Iterator[Integers]:
-    """Yields the keys (n,) of a walk whose tips are near a position, see `list_serving`."""
-    found, reach = np.empty(LISTED, np.int64), reaches(chain)
-    while (count := list_serving(chain, tips, walk, reach, near, limit, position, radius, found)) != 0:
+    """Yields keys (n,) of a walk whose tips are near a position, see `list_serving`; none of them after a turn without.
+
+    Between two turns the caller may look at the time.
+    """
+    found, reach, first = np.empty(LISTED, np.int64), reaches(chain), min(SPLIT, tips.cut - 1)
+    while walk.at[0] >= first:
+        count = list_serving(chain, tips, walk, reach, near, limit, position, radius, found)
         if count < 0:
             found = np.empty(4 * len(found), np.int64)
         else:
