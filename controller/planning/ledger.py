@@ -6,7 +6,7 @@ of two counts is valid, so losing one of the files loses no counts.
 A written transaction is in the kernel's memory, so it survives the death of the process. SQLite in WAL mode with
 synchronous=NORMAL calls fsync about every 4 MB only; the kernel itself writes to the disk within about 30 s. An fsync
 for each goal would wear flash memory, and each result would wait for the disk. A power failure therefore loses the
-goals of the last seconds, but does not damage the file. The switch journal has the counts up to the last 10 s.
+goals of the last seconds, but does not damage the file. The switch journal has the counts up to the last 60 s.
 """
 
 import errno

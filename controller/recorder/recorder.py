@@ -27,6 +27,7 @@ RETRY = 10.0  # [s] after a failure of the disk
 MOST_TOPICS = 100  # topics of unknown keys; further ones are recorded as "other"
 UNEXPECTED = (LookupError, TypeError, ValueError, AttributeError)  # raised by messages of another form than ours
 INFO, WARNING, ERROR = 2, 3, 4  # levels of foxglove.Log
+CLOCK_STEP = 1.0  # [s] by which the system's clock must be set to end a recording
 STEP_BEFORE = 0.001  # [s] before a change, at which the old frames are repeated
 SCENE_FIELDS = ("commanded", "measured", "target")
 
@@ -79,12 +80,16 @@ class Limits(NamedTuple):
 class Recorder:
     """Writes all messages of one arm. Each recording begins with the arm's description and state.
 
+    Arrival times, `at`, are of CLOCK_MONOTONIC [ns]. Each recording has a clock of its own for its log times; if the
+    system's clock is set, the next recording begins.
+
     Args:
         arm: name of the arm.
         folder: folder of the recordings.
         limits: limits of one recording.
         fsync: whether each flush waits for the disk.
         began: called with the path of each new recording.
+        wall: UNIX time [ns].
     """
 
     def __init__(
@@ -95,15 +100,16 @@ class Recorder:
         *,
         fsync: bool = False,
         began: Callable[[Path], None] = lambda path: None,
+        wall: Callable[[], int] = time.time_ns,
     ) -> None:
         self._arm, self._folder, self._limits, self._fsync, self._began = arm, folder, limits, fsync, began
-        self._clock, self._events = LogClock(), EventLog()
+        self._wall, self._clock, self._events = wall, LogClock(wall), EventLog()
         self._recording: Recording | None = None
         self.retry_at = 0.0
         self.description: bytes | None = None
         self._scene: FoxgloveScene | None = None
         self._drawn: tuple[Any, ...] | None = None
-        self._state: tuple[int, Message, bytes] | None = None  # the latest: log time, decoded, encoded
+        self._state: tuple[int, Message, bytes] | None = None  # the latest: arrival, decoded, encoded
         self._topics: set[str] = set()
         self._obstacles: Any = None
         self._asked_at = -ASK_EVERY
@@ -130,7 +136,7 @@ class Recorder:
 
     def receive_message(self, item: ReceivedMessage) -> None:
         """Writes a message, and the drawing and log lines that follow from it."""
-        at = self._clock.at(item.at)
+        at = item.at
         if item.key == "arm":
             self._accept_description(item.data, at)
             return
@@ -140,7 +146,7 @@ class Recorder:
         else:
             key, data = self._plain(item.key, item.data)
         message = msgspec.json.decode(data)
-        self._write(key, key, data, at, published(message, at))
+        self._write(key, key, data, at, published(message))
         with contextlib.suppress(*UNEXPECTED):
             for level, text in self._events.lines(key, message):
                 self._say(level, text, at)
@@ -184,17 +190,18 @@ class Recorder:
 
         def add_description(recording: Recording) -> None:
             recording.add_metadata("hyperbit", values)
+            begun = self._clock.at(at)
             if file:
-                recording.attach(file["name"], "application/yaml", file["text"].encode(), at)
+                recording.attach(file["name"], "application/yaml", file["text"].encode(), begun)
             for name, text in file.get("tables", {}).items():
-                recording.attach(name, "text/csv", text.encode(), at)
+                recording.attach(name, "text/csv", text.encode(), begun)
 
         if self._recording is None:
             self._open(at)  # a recording begins with the description
             return
         recording = self._recording
         self._attempt(lambda: add_description(recording))
-        self._write("arm", "arm", self.description, at, at)
+        self._write("arm", "arm", self.description, at)
 
     def _draw(self) -> None:
         """Writes scene and frames if the arm's shape, target or obstacles have changed."""
@@ -204,7 +211,8 @@ class Recorder:
         looks = (id(self._scene), *(state.get(field) for field in SCENE_FIELDS))
         if looks == self._drawn:
             return
-        before, self._drawn, stamp = self._drawn, looks, published(state, at)
+        before, self._drawn = self._drawn, looks
+        stamp = published(state) or self._clock.at(at)
         try:
             scene = msgspec.json.encode(self._scene.update(state, stamp / 1e9))
             frames = self._scene.transforms(state, stamp / 1e9)
@@ -234,24 +242,32 @@ class Recorder:
 
     def _say(self, level: int, text: str, at: int | None = None) -> None:
         """Writes a line of the log."""
-        at = self._clock.now() if at is None else at
-        seconds, nanoseconds = divmod(at, 1_000_000_000)
+        at = time.monotonic_ns() if at is None else at
+        self._open(at)  # the line has the time of its recording
+        seconds, nanoseconds = divmod(self._clock.at(at), 1_000_000_000)
         entry = {"timestamp": {"sec": seconds, "nsec": nanoseconds}, "level": level, "message": text}
         entry |= {"name": self._arm, "file": "", "line": 0}
-        self._write("log", LOG, msgspec.json.encode(entry), at, at)
+        self._write("log", LOG, msgspec.json.encode(entry), at)
 
-    def _write(self, key: str, kind: str, data: bytes, at: int, sent: int) -> None:
+    def _write(self, key: str, kind: str, data: bytes, at: int, sent: int | None = None) -> None:
+        """Writes a message that arrived `at`; `sent`: its stamp [UNIX ns], if it has one."""
         if (recording := self._open(at)) is not None:
-            self._attempt(lambda: recording.write(f"hyperbit/{self._arm}/{key}", kind, data, at, sent))
+            log_time = self._clock.at(at)
+            topic, publish_time = f"hyperbit/{self._arm}/{key}", log_time if sent is None else sent
+            self._attempt(lambda: recording.write(topic, kind, data, log_time, publish_time))
 
     def turn(self) -> None:
         """Flushes data that is due, and ends a recording that has reached its limits."""
-        recording, now = self._recording, self._clock.now()
+        at = time.monotonic_ns()
+        recording, now = self._recording, self._clock.at(at)
         if recording is None or recording.begun is None:
             return
-        if recording.size >= self._limits.size or now - recording.begun >= self._limits.seconds * 1e9:
+        stepped = abs(step := self._clock.step()) >= CLOCK_STEP
+        if stepped:
+            self._say(WARNING, f"the system's clock was set by {step:+.1f} s: the next recording begins", at)
+        if stepped or recording.size >= self._limits.size or now - recording.begun >= self._limits.seconds * 1e9:
             self.end_recording()
-            self._open(now)
+            self._open(at)
         elif recording.due(now):
             self._attempt(recording.flush)
             self._attempt(lambda: self._folder.make_room(recording.path))
@@ -260,18 +276,20 @@ class Recorder:
         """Returns the recording; begins one if there is none, except within RETRY of a disk failure."""
         if self._recording is not None or time.monotonic() < self.retry_at:
             return self._recording
+        clock = LogClock(self._wall)
         try:
-            self._recording = Recording(self._folder.new(time.time()), fsync=self._fsync)
+            self._recording = Recording(self._folder.new(self._wall() / 1e9), fsync=self._fsync)
         except OSError as error:
             self._failed(error)
             return None
+        self._clock = clock
         log.info("recording to %s", self._recording.path)
         self._began(self._recording.path)
         self._drawn = None
         self._write_description(at)
         if self._state is not None and self.description is not None:
             heard_at, state, data = self._state
-            self._write("state", "state", data, max(at, heard_at), published(state, at))
+            self._write("state", "state", data, max(at, heard_at), published(state))
             self._draw()
         return self._recording
 
@@ -291,8 +309,8 @@ class Recorder:
             recording.abandon()
 
 
-def published(message: Any, at: int) -> int:
-    """Returns the stamp of a message [ns], or its time of arrival if it has no plausible stamp."""
+def published(message: Any) -> int | None:
+    """Returns the stamp of a message [ns]; None if it has no plausible one."""
     stamp = message.get("stamp") if isinstance(message, dict) else None
     plausible = isinstance(stamp, int | float) and 0 < stamp < 2**63 / 1e9
-    return int(stamp * 1e9) if plausible and stamp is not None else at
+    return int(stamp * 1e9) if plausible and stamp is not None else None

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
@@ -108,15 +109,18 @@ class Recording:
 
 
 class LogClock:
-    """Clock of log times: UNIX time at the start, advanced by CLOCK_MONOTONIC, so that log times never step back."""
+    """Clock of one recording's log times: UNIX time at its start, advanced by CLOCK_MONOTONIC.
 
-    def __init__(self) -> None:
-        self._offset = time.time_ns() - time.monotonic_ns()
+    So log times never step back inside a recording. `wall` is UNIX time [ns], which may be set at any time.
+    """
+
+    def __init__(self, wall: Callable[[], int] = time.time_ns) -> None:
+        self._wall, self._offset = wall, wall() - time.monotonic_ns()
 
     def at(self, monotonic: int) -> int:
         """Returns the log time [ns] of a monotonic time [ns]."""
-        return monotonic + self._offset
+        return max(monotonic + self._offset, 0)
 
-    def now(self) -> int:
-        """Returns the present log time [ns]."""
-        return self.at(time.monotonic_ns())
+    def step(self) -> float:
+        """Returns by how much UNIX time was set since the start [s]."""
+        return (self._wall() - self.at(time.monotonic_ns())) / 1e9

@@ -2,6 +2,7 @@
 
 import errno
 import logging
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from hyperbit.controller.recorder.folder import Folder
 from hyperbit.controller.recorder.recorder import MOST_TOPICS, Limits, Recorder
 from hyperbit.controller.recorder.recording import Recording
 from hyperbit.controller.recorder.schemas import FOXGLOVE, LOG, TOPICS
-from tests.recorder.samples import Read, heard, names, planar, read, read_by_another, state, told
+from tests.recorder.samples import SECOND, Read, heard, names, planar, read, read_by_another, state, told
 from tests.recorder.shapes import misfits
 
 PREFIX = "hyperbit/planar16"
@@ -104,6 +105,23 @@ def test_a_recording_ends_with_its_time(tmp_path: Path, arm: Arm) -> None:
         recorder.turn()
     recorder.end_recording()
     assert len(files(tmp_path)) >= 3
+
+
+@pytest.mark.parametrize("years", [-20, 20])
+def test_a_recording_begins_with_the_clock_as_it_is_then(tmp_path: Path, arm: Arm, years: int) -> None:
+    wall = [1_700_000_000]
+    recorder = Recorder("planar16", Folder(tmp_path, "planar16"), LIMITS, wall=lambda: wall[0] * SECOND)
+    recorder.receive_message(heard(time.monotonic(), "arm", told(arm)))
+    recorder.receive_message(heard(time.monotonic(), "state", state(arm, [0] * 16, wall[0])))
+    wall[0] += years * 31_536_000
+    recorder.turn()
+    recorder.receive_message(heard(time.monotonic(), "goal", {"id": "g"}))
+    recorder.end_recording()
+    before, after = files(tmp_path)
+    assert all(abs(message.at / SECOND - wall[0]) < 60 for message in read(after))
+    assert len(on(read(after), "state")) == len(on(read(after), "goal")) == 1, "it can be understood alone"
+    assert all(abs(message.at / SECOND - 1_700_000_000) < 60 for message in read(before))
+    assert "the system's clock was set by" in on(read(before), "log")[-1]["message"]
 
 
 @pytest.mark.parametrize("data", [b"no JSON", b"", b"\xff\xfe", b"[1, 2]", b"null", b"1", b'{"a": ', b"[" * 5000])
