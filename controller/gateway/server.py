@@ -185,7 +185,13 @@ class Way:
             raise Refusal(Reason.NOT_EXPLAINED, refusal.goal) from None  # in a flood: finding the reason takes long
         if isinstance(message, events.CancelMessage) and message.goal is not None:
             self._check_named(received.name, named=True)
-        reply, request = partial(self._answer, received), self._planner.loop.request
+        unread = message.unread if isinstance(message, events.CancelMessage) else ""
+
+        def reply(answer: Payload) -> None:
+            note = f"; everything was to be canceled, because the payload cannot be read: {unread}" if unread else ""
+            self._answer(received, {**answer, "message": f"{answer['message']}{note}"} if note else answer)
+
+        request = self._planner.loop.request
         if key == "goal" and isinstance(message, GoalMessage):
             keys = keys_of(received.payload, received.number, has_id=message.id is not None)
             self._goals.receive_goal(keys, reply, partial(request, received.arrival, key, message))

@@ -156,7 +156,7 @@ class Loop:
         unsent = None
         if key == "stop":
             unsent = self._link.send_now(Stop(number))
-        elif key == "cancel" and message == events.CancelMessage():
+        elif isinstance(message, events.CancelMessage) and message.goal is None:
             unsent = self._link.send_now(Cancel(number, None, CANCELED))
         if unsent is not None:
             self._inbox.events.append(events.Unsent(number, unsent))

@@ -12,6 +12,7 @@ from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.arm.description import density, description, drawing, file
 from hyperbit.controller.arm.weights import weights_of
 from hyperbit.controller.flight_recorder import FlightRecorder
+from hyperbit.controller.motion.decoding import payloads
 from hyperbit.controller.motion.decoding.goal import Id, check_reach, parse
 from hyperbit.controller.motion.decoding.requests import decode_degrade, decode_fault, decode_jog, decode_obstacles
 from hyperbit.controller.motion.stages.pacing import pace_of
@@ -23,7 +24,6 @@ from hyperbit.controller.planning.link import ExecutorLink
 from hyperbit.controller.planning.loop import Loop, Services
 from hyperbit.controller.planning.workers.computations import build_scene, build_tables
 from hyperbit.controller.planning.workers.pool import Workers
-from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.workspace.densities import Densities
 
@@ -114,15 +114,13 @@ class RequestDecoder:
 
 
 def decode_cancel(payload: bytes) -> events.CancelMessage:
-    """Returns the content of a `cancel`: the goal of {"id": ...}. Raises Refusal for an invalid id.
+    """Returns the content of a `cancel`: the goal of {"id": ...}, or all goals.
 
-    A payload without an `id` cancels everything, because such a cancel must not fail for its form.
+    A payload that cannot be read cancels all: a cancel must never do less than its sender wanted.
     """
+    if not payload:
+        return events.CancelMessage()
     try:
-        return events.CancelMessage(msgspec.json.decode(payload, type=_NamedGoal).id)
-    except msgspec.ValidationError as error:
-        if b'"id"' in payload:
-            raise Refusal(Reason.INVALID_FIELDS, faults=f"cancel: {error}") from None
-    except (msgspec.MsgspecError, RecursionError, UnicodeError):
-        pass
-    return events.CancelMessage()
+        return events.CancelMessage(payloads.parse(payload, _NamedGoal, "cancel").id)
+    except Refusal as refusal:
+        return events.CancelMessage(unread=str(refusal))

@@ -9,7 +9,7 @@ import zenoh
 
 from hyperbit.controller.gateway.arrivals import Rate
 from hyperbit.controller.gateway.server import MOST_REFUSALS, MOST_UNANSWERED, content
-from hyperbit.controller.planning.core.events import CancelMessage, refused
+from hyperbit.controller.planning.core.events import refused
 from hyperbit.controller.planning.loop import MOST_SENDERS
 from tests.gateway.conftest import ARM, NO_ACTUATOR, Gateway
 from tests.waiting import PATIENCE, eventually
@@ -210,7 +210,18 @@ def test_a_cancel_of_one_goal_must_name_the_arm(gateway: Gateway) -> None:
     assert "cancel must be named" in answer["message"]
     assert asked(session, f"{PREFIX}/cancel", goal)[0]["accepted"]
     assert asked(session, "hyperbit/*/cancel", b"[]")[0]["accepted"]
-    assert gateway.planner.heard == [("cancel", CancelMessage("x")), ("cancel", CancelMessage())]
+    assert [message.goal for _, message in gateway.planner.heard] == ["x", None]  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("expression", [f"{PREFIX}/cancel", "hyperbit/*/cancel"])
+@pytest.mark.parametrize("payload", [b'{"id": 5}', b'{"id": "a", "id": "b"}', b'"id"', b"\xff"])
+def test_a_cancel_that_cannot_be_read_cancels_all_and_says_so(
+    gateway: Gateway, expression: str, payload: bytes
+) -> None:
+    (answer,) = asked(gateway.other(), expression, payload)
+    ((key, message),) = gateway.planner.heard
+    assert (answer["accepted"], key, message.goal) == (True, "cancel", None)  # type: ignore[union-attr]
+    assert "everything was to be canceled, because the payload cannot be read: " in answer["message"]
 
 
 def test_a_slow_planner_gets_no_more_requests_than_it_may_hold_but_each_stop(gateway: Gateway) -> None:

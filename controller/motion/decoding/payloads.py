@@ -49,8 +49,9 @@ def object_in(payload: bytes, kind: type[Struct], name: str) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise Refusal(Reason.NOT_JSON, what=name, error=str(error)) from None
     if not isinstance(value, dict):
-        needed = " and ".join(f"`{field.name}`" for field in msgspec.structs.fields(kind) if field.required)
-        raise Refusal(Reason.NO_OBJECT, what=name, fields=needed)
+        every = msgspec.structs.fields(kind)
+        needed = [field for field in every if field.required] or every
+        raise Refusal(Reason.NO_OBJECT, what=name, fields=" and ".join(f"`{field.name}`" for field in needed))
     return value
 
 

@@ -18,6 +18,7 @@ Payload = Mapping[str, Any]
 
 class CancelMessage(NamedTuple):
     goal: str | None = None  # None cancels whatever runs, and bars all earlier requests
+    unread: str = ""  # why the payload could not be read; then everything is canceled
 
 
 class SentObstacles(NamedTuple):

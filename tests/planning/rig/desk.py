@@ -279,7 +279,7 @@ class Desk:
         self.names[self._numbers] = name
         if key == "stop":
             self.executor.messages.append(Stop(self._numbers))
-        elif key == "cancel" and message == CancelMessage():
+        elif isinstance(message, CancelMessage) and message.goal is None:
             self.executor.messages.append(Cancel(self._numbers, None, "canceled; the arm holds"))
         self.post(Request(Arrival(self._numbers, self.now - self.delay), key, message, self.wall))
         return self._numbers
