@@ -91,9 +91,9 @@ class Client:
                 )
             late = False
             for reply in replies:
-                if reply.ok is not None:
-                    return decoded(reply.ok)
-                late = True  # an empty reply: the time is over, but the request was received
+                if reply.ok is not None and (answer := readable(reply.ok, key)) is not None:
+                    return answer
+                late = True  # the time is over, or a stranger answered: the request was received
             if late:
                 break
         if self.alive():
@@ -204,6 +204,16 @@ def answer_timeout(payload: Mapping[str, Any]) -> float:
         value if isinstance(value := payload.get(name), int | float) else None for name in ("deadline", "begin_within")
     )
     return ANSWER_TIMEOUT + (deadline or 0.0) if begin_within is None else begin_within + REPLY
+
+
+def readable(sample: zenoh.Sample, key: str) -> Message | None:
+    """Returns the answer of a daemon on `key`; None for an answer of another form, such as a stranger's."""
+    try:
+        answer = decoded(sample)
+    except (ValueError, RecursionError):
+        return None
+    known = isinstance(answer, dict) and (key == "arm" or isinstance(answer.get("accepted"), bool))
+    return answer if known else None
 
 
 def decoded(sample: zenoh.Sample) -> Message:

@@ -36,6 +36,7 @@ from hyperbit.controller.panel.arms.metrics import endpoint
 from hyperbit.controller.panel.arms.pages import Page
 from hyperbit.controller.panel.shield import LOCAL, PublicAddress, Shield, TooLarge, policy
 
+DAEMONS = "hyperbit"  # prefix of their keys
 STATIC = Path(__file__).parent / "static"
 SESSION_EVERY = 1.0  # [s] between two checks of an open page's session
 NO_LOGIN, TOO_MANY, BAD = 4401, 4429, 4400  # close codes of the WebSocket
@@ -48,7 +49,7 @@ class PanelServer:
         open_session: opens the Zenoh session; called when the server starts.
         missing: returns why the session has no connection to some of its endpoints.
         access: checks who may view and command.
-        prefix: of all Zenoh keys.
+        prefix: of all Zenoh keys; another prefix than the daemons' is that of a replay.
         tls: whether the page itself is served over TLS.
         hosts: accepted host names; None: any.
         public: address at a reverse proxy; None: there is no proxy.
@@ -61,7 +62,7 @@ class PanelServer:
         access: Access,
         missing: Callable[[zenoh.Session], list[NoSession]] = lambda _: [],
         *,
-        prefix: str = "hyperbit",
+        prefix: str = DAEMONS,
         tls: bool = False,
         hosts: Sequence[str] | None = LOCAL,
         public: PublicAddress | None = None,
@@ -69,6 +70,7 @@ class PanelServer:
     ) -> None:
         self._missing = missing
         self._open_session, self._access, self._prefix, self._clock = open_session, access, prefix, clock
+        self._replay = prefix != DAEMONS
         self._path = "/" if public is None else public.path
         secure = tls or (public is not None and public.origin.startswith("https:"))
         self._cookie = "hyperbit" if not secure else "__Host-hyperbit" if self._path == "/" else "__Secure-hyperbit"
@@ -105,7 +107,7 @@ class PanelServer:
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
         session = await asyncio.to_thread(self._open_session)
         try:
-            self._arms = Arms(session, self._prefix, lambda: self._missing(session))
+            self._arms = Arms(session, self._prefix, lambda: self._missing(session), replay=self._replay)
             yield
             await self._arms.close()
         finally:
@@ -152,14 +154,13 @@ class PanelServer:
         return endpoint(self.arms.known, self.arms.counters)(request)
 
     async def _stop(self, request: Request) -> Response:
-        """Stops an arm without the WebSocket, which may be closed at the moment."""
+        """Stops an arm without the WebSocket, which may be closed at the moment, also an arm that was not heard yet."""
         self._check_may_stop(request)
-        view = self.arms.views.get(request.path_params["name"])
-        if view is None:
+        if not is_name(name := request.path_params["name"]):
             raise HTTPException(404, "There is no such arm.")
-        loop = asyncio.get_running_loop()
+        loop, client = asyncio.get_running_loop(), self.arms.client(name)
         try:
-            return JSONResponse(await loop.run_in_executor(self._threads.stops, view.client.request, "stop"))
+            return JSONResponse(await loop.run_in_executor(self._threads.stops, client.request, "stop"))
         except RuntimeError as error:
             return JSONResponse({"accepted": False, "message": str(error)}, status_code=503)
 
@@ -222,7 +223,8 @@ class PanelServer:
             await socket.close(TOO_MANY, "too many arms are known, or there is no such arm")
             return
         self._places.take_place(place)
-        page.offer("you", encoded({"section": "you", "name": person.name, "role": person.role, "page": page.number}))
+        you = {"name": person.name, "role": person.role, "page": page.number, "replay": self._replay}
+        page.offer("you", encoded({"section": "you", **you}))
         sender = asyncio.create_task(page.send_updates(lambda data: socket.send_text(data.decode())))
         receiver = asyncio.create_task(self._receive(socket, view, page))
         try:

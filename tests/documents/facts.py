@@ -14,6 +14,7 @@ from hyperbit.controller.armfile import settings
 from hyperbit.controller.gateway import outbox, server
 from hyperbit.controller.motion.decoding import goal, requests, setpoint
 from hyperbit.controller.motion.tracking import bias
+from hyperbit.controller.panel.arms import arms
 from hyperbit.controller.program.parts import Mode
 from hyperbit.controller.refusals import codes
 from hyperbit.controller.refusals.reasons import Reason
@@ -45,6 +46,11 @@ def keys() -> set[str]:
     declared = re.compile(r'(?:_query|_mailbox|declare_token)\(\s*f?"(?:{[a-z._]+}/)?(@?[a-z_]+)"')
     others = {key for text in sources("controller/gateway") for key in declared.findall(text)}
     return {*get_args(server.Command), *others, *outbox.PUBLISHED}
+
+
+def listened() -> set[str]:
+    """Returns the keys below PREFIX/<arm>/ on which any part of hyperbit hears or answers others."""
+    return {*keys(), *arms.REPLAY_KEYS, "@claim"}
 
 
 def faults() -> set[str]:
@@ -97,6 +103,7 @@ TABLES: dict[str, Callable[[], set[str]]] = {
     "commands": lambda: set(cli.COMMANDS),
     "exit codes": exit_codes,
     "keys": keys,
+    "listeners": listened,
     "faults": faults,
     "result codes": result_codes,
     "reasons": lambda: {reason.value for reason in Reason},

@@ -54,9 +54,9 @@ class PlayedDaemon:
         gate: event that answers to `plan` wait for.
     """
 
-    def __init__(self, endpoint: str, name: str = ARM, *, mode: str = "peer") -> None:
+    def __init__(self, endpoint: str, name: str = ARM, *, mode: str = "peer", prefix: str = "hyperbit") -> None:
         arm = paper_arm()
-        self.manipulator, self._name = arm.manipulator, name
+        self.manipulator, self._keys_of = arm.manipulator, f"{prefix}/{name}"
         self.told = {
             **description(arm),
             "name": name,
@@ -76,10 +76,10 @@ class PlayedDaemon:
             session.configuration(mode, **{"connect" if mode == "client" else "listen": endpoint})
         )
         self._keys: list[Any] = [
-            self.session.declare_queryable(f"hyperbit/{name}/{key}", self._answer)
+            self.session.declare_queryable(f"{self._keys_of}/{key}", self._answer)
             for key in ("arm", "plan", "goal", "jog", "stop", "cancel", "reset", "degrade", "obstacles", "fault")
         ]
-        self._token: Any = self.session.liveliness().declare_token(f"hyperbit/{name}/alive")
+        self._token: Any = self.session.liveliness().declare_token(f"{self._keys_of}/alive")
 
     def _answer(self, query: zenoh.Query) -> None:
         key = str(query.key_expr).rpartition("/")[2]
@@ -96,7 +96,7 @@ class PlayedDaemon:
             answer = {**answer, "waypoints": [point], "switches": 3}
         if key == "goal":
             answer = {**answer, "id": payload["id"]}
-        query.reply(f"hyperbit/{self._name}/{key}", json.dumps(answer).encode())
+        query.reply(f"{self._keys_of}/{key}", json.dumps(answer).encode())
 
     def commands(self) -> list[str]:
         return [key for key, _ in self.asked]
@@ -123,7 +123,7 @@ class PlayedDaemon:
                 self.put("state", self._latest)
 
     def put(self, key: str, payload: Message) -> None:
-        self.session.put(f"hyperbit/{self._name}/{key}", json.dumps(payload).encode())
+        self.session.put(f"{self._keys_of}/{key}", json.dumps(payload).encode())
 
     def die(self) -> None:
         """Removes the liveliness token."""
@@ -183,14 +183,16 @@ class Site:
         missing: what the panel learns of endpoints without connection.
     """
 
-    def __init__(self, closing: ExitStack) -> None:
-        endpoint = free_endpoint()
-        self.daemon = PlayedDaemon(endpoint)
+    def __init__(self, closing: ExitStack, prefix: str = "hyperbit") -> None:
+        self.endpoint = endpoint = free_endpoint()
+        self.daemon = PlayedDaemon(endpoint, prefix=prefix)
         closing.callback(self.daemon.close)
         config = zenoh_configuration([endpoint], None)
         self.clock = Clock()  # it stands: no command becomes too late while this machine is slow
         self.missing: list[NoSession] = []
-        self.panel = PanelServer(lambda: zenoh.open(config), Access(PEOPLE), lambda _: self.missing, clock=self.clock)
+        self.panel = PanelServer(
+            lambda: zenoh.open(config), Access(PEOPLE), lambda _: self.missing, prefix=prefix, clock=self.clock
+        )
         self.browser = closing.enter_context(TestClient(self.panel.app, base_url=ORIGIN))
         self._closing = closing
         eventually(lambda: ARM in self.panel.arms.views and self.panel.arms.views[ARM].drawing)
@@ -217,3 +219,10 @@ class Site:
 def site() -> Iterator[Site]:
     with ExitStack() as closing:
         yield Site(closing)
+
+
+@pytest.fixture
+def past() -> Iterator[Site]:
+    """The panel of a replay."""
+    with ExitStack() as closing:
+        yield Site(closing, "replay")

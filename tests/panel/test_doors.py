@@ -71,7 +71,7 @@ def test_names_that_are_resolved_to_this_computer_are_refused(site: Site) -> Non
 
 def test_a_stop_over_http_is_the_operators(site: Site) -> None:
     assert site.browser.post(f"/arms/{ARM}/stop", headers=site.cookie(VIEWER)).status_code == 403
-    assert site.browser.post("/arms/nowhere/stop", headers=site.cookie(OPERATOR)).status_code == 404
+    assert site.browser.post("/arms/nowhere/stop", headers=site.cookie(OPERATOR)).status_code == 503
     assert site.daemon.asked == []
     assert site.browser.post(f"/arms/{ARM}/stop", headers=site.cookie(OPERATOR)).json()["accepted"]
     assert site.daemon.commands() == ["stop"]

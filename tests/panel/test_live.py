@@ -111,13 +111,13 @@ def test_a_dead_daemon_and_the_age_of_the_last_state_are_shown(site: Site) -> No
     assert told["age"] > 1.0
 
 
-def test_a_replay_that_is_paused_is_not_old(site: Site) -> None:
-    page = site.open()
-    site.daemon.state()
+def test_a_replay_that_is_paused_is_not_old(past: Site) -> None:
+    page = past.open()
+    past.daemon.state()
     old = page.until("presence", lambda told: told["age"] is not None and told["age"] > 1.0)["age"]
 
     def fresh() -> bool:
-        site.daemon.put("timeline", {"begin": 0.0, "end": 9.0, "at": 4.0, "speed": 1.0, "paused": True})
+        past.daemon.put("timeline", {"begin": 0.0, "end": 9.0, "at": 4.0, "speed": 1.0, "paused": True})
         page.heard()
         return bool(page.latest["presence"]["age"] < old)
 

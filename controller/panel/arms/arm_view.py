@@ -158,7 +158,7 @@ class ArmView:
             self.diagnostics = payload
             self.publish("diagnostics", payload)
             self.history.diagnostics(payload)
-        elif key == "timeline":
+        elif key == "timeline":  # only of a replay
             self._heard = time.monotonic()  # a paused replay publishes no state
             self._hear_timeline(payload)
             self.publish("timeline", payload)

@@ -26,19 +26,23 @@ MOST_ARMS = 256  # further arms take the places of gone arms
 MOST_ALIVE = 10_000  # names of live daemons; some may have no place yet
 GONE_SHOWN = 600.0  # [s] for which a gone arm stays in the list
 MOST_PENDING = 1000  # messages that wait for the loop; further messages are dropped
-MOST_MESSAGE = 16_000_000  # bytes
-KEYS = ("feedback", "result", "diagnostics", "request", "timeline")
+MOST_MESSAGE = 2_000_000  # bytes
+KEYS = ("feedback", "result", "diagnostics")  # of a daemon, beside `state`
+REPLAY_KEYS = ("request", "timeline")  # of a replay
 
 
 class Arms:
     """The arms below a prefix. Used on the event loop of the pages, except for Zenoh's callbacks.
 
     Args:
-        prefix: of all keys: "hyperbit", or the prefix of a replay.
+        prefix: of all keys.
         missing: returns why the session has no connection to some of its endpoints.
+        replay: whether the keys are those of a recording. On the keys of a daemon nobody may publish a `timeline`.
     """
 
-    def __init__(self, session: zenoh.Session, prefix: str, missing: Callable[[], list[NoSession]]) -> None:
+    def __init__(
+        self, session: zenoh.Session, prefix: str, missing: Callable[[], list[NoSession]], *, replay: bool = False
+    ) -> None:
         self.views: dict[str, ArmView] = {}
         self.counters = Counters()  # counts results and faults, for metrics
         self.session, self._prefix = session, prefix
@@ -48,9 +52,10 @@ class Arms:
         self._latest: dict[str, tuple[bytes, float]] = {}  # unprocessed states with times of arrival [s]
         self._pending, self._lock = 0, threading.Lock()
         liveliness = session.liveliness()
+        keys = (*KEYS, *(REPLAY_KEYS if replay else ()))
         self._declared: list[Any] = [
             session.declare_subscriber(f"{prefix}/*/state", self._on_state),
-            *(session.declare_subscriber(f"{prefix}/*/{key}", self._on_message) for key in KEYS),
+            *(session.declare_subscriber(f"{prefix}/*/{key}", self._on_message) for key in keys),
             liveliness.declare_subscriber(f"{prefix}/*/alive", self._on_alive, history=True),
         ]
         self._missing: list[dict[str, str]] = []  # sentences on the endpoints without connection
@@ -74,10 +79,13 @@ class Arms:
             self._pages.add(page)
             page.offer("arms", self._list())
             return None
-        view = self._view(name)
+        view = self._view(name, shown=True)
         if view is not None:
             view.open(page)
         return view
+
+    def client(self, name: str) -> Client:
+        return Client(self.session, name, prefix=self._prefix)
 
     def shut(self, page: Page, view: ArmView | None) -> None:
         self._pages.discard(page)
@@ -89,7 +97,7 @@ class Arms:
     # --- called by Zenoh's threads
 
     def _on_state(self, sample: zenoh.Sample) -> None:
-        if (name := self._name(sample)) is not None:
+        if (name := self._name(sample)) is not None and len(sample.payload) <= MOST_MESSAGE:
             self._latest[name] = sample.payload.to_bytes(), time.monotonic()
 
     def _on_message(self, sample: zenoh.Sample) -> None:
@@ -125,12 +133,15 @@ class Arms:
 
     # --- called on the loop
 
-    def _view(self, name: str) -> ArmView | None:
-        """Returns the data of an arm, created if it is new; None if there are too many arms."""
+    def _view(self, name: str, *, shown: bool = False) -> ArmView | None:
+        """Returns the data of an arm, created if it is new; None if there are too many arms.
+
+        An arm that a page shows also takes the place of an arm that no page shows.
+        """
         if name not in self.views:
-            if not is_name(name) or (len(self.views) >= MOST_ARMS and not self._drop_longest_gone()):
+            if not is_name(name) or (len(self.views) >= MOST_ARMS and not self._drop_longest_silent(shown=shown)):
                 return None
-            view = self.views[name] = ArmView(name, Client(self.session, name, prefix=self._prefix), self._loop)
+            view = self.views[name] = ArmView(name, self.client(name), self._loop)
             if name in self.alive:
                 view.hear_alive(True)
         return self.views[name]
@@ -140,13 +151,13 @@ class Arms:
         self.counters.drop_arm(view.name)
         del self.views[view.name]
 
-    def _drop_longest_gone(self) -> bool:
-        """Drops the arm that is gone for the longest time; returns whether there was one."""
+    def _drop_longest_silent(self, *, shown: bool) -> bool:
+        """Drops the longest silent of the arms that are gone, if `shown` of those without a page; returns success."""
         now = time.monotonic()
-        gone = [view for view in self.views.values() if not view.present]
-        if gone:
-            self._drop(max(gone, key=lambda view: view.silence(now)))
-        return bool(gone)
+        found = [view for view in self.views.values() if (not view.pages if shown else not view.present)]
+        if found:
+            self._drop(max(found, key=lambda view: view.silence(now)))
+        return bool(found)
 
     def _on_payload(self, name: str, key: str, data: bytes) -> None:
         if (view := self._view(name)) is None:

@@ -48,6 +48,19 @@ def test_arms_that_are_there_keep_their_places(site: Site, monkeypatch: pytest.M
     go(site, tokens)
 
 
+def test_an_arm_that_is_opened_takes_the_place_of_one_that_no_page_shows(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(arms, "MOST_ARMS", 3)
+    tokens = come(site, "a1", "a2")
+    shown = site.open(path=f"/arms/{ARM}/live")
+    late = site.open(path="/arms/late/live")
+    assert late.until("presence")["you"] != shown.until("presence")["you"]
+    assert len(site.panel.arms.views) == 3
+    assert {ARM, "late"} <= set(site.panel.arms.views)
+    go(site, tokens)
+
+
 def test_an_arm_that_found_no_place_gets_the_next_free_one(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arms, "MOST_ARMS", 2)
     monkeypatch.setattr(arm_view, "SILENT", 0.0)

@@ -66,24 +66,24 @@ def test_a_goal_that_was_skipped_runs_again_when_the_replay_is_moved_back() -> N
     assert [(goal["id"], goal["status"], goal.get("message")) for goal in history.goals] == [("a", "running", None)]
 
 
-def test_the_page_marks_goals_that_a_replay_has_skipped(site: Site) -> None:
-    page = site.open()
-    site.daemon.put("timeline", {**LINE, "paused": True})
-    site.daemon.put("feedback", {"id": "a", "waypoint": 0, "waypoints": 2})
+def test_the_page_marks_goals_that_a_replay_has_skipped(past: Site) -> None:
+    page = past.open()
+    past.daemon.put("timeline", {**LINE, "paused": True})
+    past.daemon.put("feedback", {"id": "a", "waypoint": 0, "waypoints": 2})
     page.until("goals", lambda told: told["goals"] and told["goals"][0]["status"] == "running")
-    site.daemon.put("timeline", {**LINE, "at": 1090.0, "paused": True})
+    past.daemon.put("timeline", {**LINE, "at": 1090.0, "paused": True})
     page.until("goals", lambda told: told["goals"][0]["status"] == "skipped")
 
 
-def test_goals_and_log_of_a_replay_have_the_times_of_the_recording(site: Site) -> None:
-    page = site.open()
-    site.daemon.put("feedback", {"id": "early", "waypoint": 0, "waypoints": 2})
+def test_goals_and_log_of_a_replay_have_the_times_of_the_recording(past: Site) -> None:
+    page = past.open()
+    past.daemon.put("feedback", {"id": "early", "waypoint": 0, "waypoints": 2})
     page.until("goals", lambda told: told["goals"])
-    site.daemon.put("timeline", {**LINE, "paused": True})
+    past.daemon.put("timeline", {**LINE, "paused": True})
     page.until("goals", lambda told: told["goals"] and told["goals"][0]["at"] == LINE["at"])
-    site.daemon.put("result", {"id": "past", "status": "succeeded", "message": "reached"})
+    past.daemon.put("result", {"id": "past", "status": "succeeded", "message": "reached"})
     goal = page.until("goals", lambda told: len(told["goals"]) == 2)["goals"][-1]
     assert goal["at"] == goal["ended"] == LINE["at"]
     assert {line["at"] for line in page.until("log")["lines"]} == {LINE["at"]}
-    site.daemon.put("timeline", {**LINE, "at": 1000.0, "paused": True})
+    past.daemon.put("timeline", {**LINE, "at": 1000.0, "paused": True})
     page.until("goals", lambda told: not told["goals"])

@@ -52,15 +52,13 @@ export class Connection {
     if (message.section === "presence" && message.age !== null) {
       this.heardAt = performance.now() - message.age * 1000; // an unchanged state is not sent again
     }
-    const rights = this.mayCommand;
     this.latest[message.section] = message;
     for (const listener of this.listeners.get(message.section) ?? []) tell(listener, message);
-    if (rights && !this.mayCommand) for (const listener of this.listeners.get("you") ?? []) tell(listener, this.latest.you);
   }
 
-  // Whether this page may command: its person is an operator, and the arm is no replay.
+  // Whether this page may command: its person is an operator, and the server shows no replay. No message of an arm changes that.
   get mayCommand() {
-    return this.latest.you?.role === "operator" && !this.latest.timeline;
+    return this.latest.you?.role === "operator" && !this.latest.you.replay;
   }
 
   on(section, listener) {

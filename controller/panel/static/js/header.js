@@ -23,7 +23,7 @@ export function showHeader(name, connection, notify) {
     part("mode").textContent = `${MARKS[state.mode] ?? "?"} ${state.mode}`;
     part("reason").textContent = part("reason").title = state.reason;
     part("simulated").hidden = !state.simulated;
-    document.title = `${connection.latest.timeline ? "Replay: " : ""}${MARKS[state.mode] ?? "?"} ${name}: ${state.mode}`;
+    document.title = `${connection.latest.you?.replay ? "Replay: " : ""}${MARKS[state.mode] ?? "?"} ${name}: ${state.mode}`;
     part("reset").classList.toggle("wanted", state.mode === "stopped" || (state.mode === "fault" && state.faults.some((fault) => fault.reset)));
   });
   connection.on("presence", ({ alive, missing }) => showMissing(alive ? [] : missing)); // others may be down

@@ -30,15 +30,20 @@ export function showTimeline(connection, editor, notify) {
     if (!known) speed.append(el("option", { value: String(factor) }, `${factor}×`));
     speed.value = String(factor);
   };
-  const showPast = ({ file, begin }) => {
-    box.hidden = banner.hidden = false;
-    fill(banner, el("b", {}, `Replay of ${file ?? "a recording"}`), ` of ${date(begin)}. Nothing here moves an arm.`);
+  connection.on("you", ({ replay }) => {
+    if (!replay || !banner.hidden) return;
+    banner.hidden = false;
+    fill(banner, el("b", {}, "Replay of a recording"), ". Nothing here moves an arm.");
     document.body.classList.add("replay");
     editor.clear();
     editor.setMode("pan");
-  };
+  });
   connection.on("timeline", (message) => {
-    if (timeline === null) showPast(message);
+    if (timeline === null) {
+      const { file, begin } = message;
+      fill(banner, el("b", {}, `Replay of ${file ?? "a recording"}`), ` of ${date(begin)}. Nothing here moves an arm.`);
+      box.hidden = false;
+    }
     timeline = message;
     const share = timeline.end > timeline.begin ? (timeline.at - timeline.begin) / (timeline.end - timeline.begin) : 1;
     if (!sliding) slider.value = String(Math.round(share * 1000));

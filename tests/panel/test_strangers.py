@@ -1,0 +1,60 @@
+"""What a stranger sends on an arm's keys takes nothing from a page."""
+
+import json
+from collections.abc import Iterator
+
+import pytest
+import zenoh
+
+from hyperbit.controller.network import session
+from tests.panel.conftest import ARM, OPERATOR, VIEWER, Site
+from tests.strangers import KEYS, intrude
+from tests.waiting import eventually
+
+
+@pytest.fixture
+def stranger(site: Site) -> Iterator[zenoh.Session]:
+    with zenoh.open(session.configuration("client", connect=site.endpoint)) as opened:
+        yield opened
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_no_message_takes_stop_from_a_page(site: Site, stranger: zenoh.Session, key: str) -> None:
+    page, headers = site.open(), site.cookie(OPERATOR)
+    intrude(stranger, f"hyperbit/{ARM}", [key])
+    last = {"id": "last", "waypoint": 0, "waypoints": 1}
+    stranger.put(f"hyperbit/{ARM}/feedback", json.dumps(last))
+    page.until("goals", lambda told: told["goals"] and told["goals"][-1]["id"] == "last")
+    site.daemon.state(reason="still heard")
+    page.until("state", lambda told: told["reason"] == "still heard")
+    assert page.latest["you"] == {"section": "you", "name": "anna", "role": "operator", "replay": False,
+                                  "page": page.latest["you"]["page"]}  # fmt: skip
+    assert "timeline" not in page.latest
+    assert page.ask("stop")["accepted"]
+    assert site.browser.post(f"/arms/{ARM}/stop", headers=headers).json()["accepted"]
+    assert site.daemon.commands() == ["stop", "stop"]
+    assert site.open(VIEWER).until("presence")["alive"]
+
+
+@pytest.mark.parametrize("answer", [b"", b"null", b"[]", b"{}", b"\xff", b'{"accepted": true, "name": 5}'])
+def test_a_stranger_who_answers_takes_no_stop(site: Site, stranger: zenoh.Session, answer: bytes) -> None:
+    """Its answer to a stop may come first. The stop reaches the daemon all the same."""
+
+    def answered(query: zenoh.Query) -> None:
+        with query:
+            query.reply(str(query.key_expr), answer)
+
+    queryable = stranger.declare_queryable(f"hyperbit/{ARM}/**", answered, complete=True)
+    token = stranger.liveliness().declare_token(f"hyperbit/{ARM}/alive")
+    page, headers = site.open(), site.cookie(OPERATOR)
+    page.send("stop")
+    eventually(lambda: "stop" in site.daemon.commands())
+    site.daemon.asked.clear()
+    site.browser.post(f"/arms/{ARM}/stop", headers=headers)
+    eventually(lambda: "stop" in site.daemon.commands())
+    token.undeclare()
+    queryable.undeclare()  # type: ignore[no-untyped-call]
+    site.daemon.state(reason="still heard")
+    page.until("state", lambda told: told["reason"] == "still heard")
+    assert page.ask("stop")["accepted"]
+    assert page.until("presence")["alive"]
