@@ -18,7 +18,7 @@ OWN, BELOW = "hyperbit/*", "*/**/hyperbit/*"
 PLACES = (OWN, BELOW)
 
 OLD = 1.5  # [s] without a state, after which the state counts as old
-MOST_ARMS = 1000  # further arms are ignored
+MOST_ARMS = 1000  # a further arm takes the place of one that is gone
 GONE_KEPT = 600.0  # [s] for which a gone arm is kept
 TOKEN_TIMEOUT = 1.0  # [s] for the list of tokens
 LIST_TIMEOUT = 10.0  # [s] for the list of tokens, if the caller needs it
@@ -210,8 +210,16 @@ class Fleet:
         """Records that an arm is alive. An arm that was gone may have another daemon now."""
         with self._lock:
             arm = self._arms.get(address)
-            if (arm is None and len(self._arms) < MOST_ARMS) or (arm is not None and arm.gone_at is not None):
-                self._arms[address] = Presence(changed_at=time.monotonic())
+            if arm is not None and arm.gone_at is None:
+                return
+            if arm is None and len(self._arms) >= MOST_ARMS:
+                gone = [(it.changed_at, there) for there, it in self._arms.items() if it.gone_at is not None]
+                if not gone:
+                    return
+                longest = min(gone)[1]
+                del self._arms[longest]
+                self._states.pop(longest, None)
+            self._arms[address] = Presence(changed_at=time.monotonic())
 
 
 def alive(session: zenoh.Session, places: Iterable[str] = PLACES, timeout: float = TOKEN_TIMEOUT) -> list[ArmAddress]:

@@ -9,6 +9,7 @@ import zenoh
 
 MOST_WAITING = 64 << 20  # bytes of payloads that wait to be read
 ARM_TIMEOUT = 10.0  # [s] for the daemon to describe the arm
+GIVEN = ("arm", "alive", "gone", "request")  # keys of the listener's own; on the network nobody publishes on them
 PARTS = b'{"with": ["drawing", "file"]}'
 
 
@@ -37,7 +38,8 @@ class Listener:
 
     def ask(self) -> None:
         """Requests the arm's description from the daemon; the answer is queued with the key "arm"."""
-        self._session.get(f"{self._prefix}/arm", self._on_reply, payload=PARTS, timeout=ARM_TIMEOUT)
+        key, every = f"{self._prefix}/arm", zenoh.QueryTarget.ALL
+        self._session.get(key, self._on_reply, target=every, payload=PARTS, timeout=ARM_TIMEOUT)
 
     def receive_messages(self, timeout: float) -> list[ReceivedMessage]:
         """Returns the queued messages, oldest first; waits at most `timeout` [s] for the first."""
@@ -55,9 +57,9 @@ class Listener:
             return dropped
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
-        key = str(sample.key_expr).removeprefix(f"{self._prefix}/").replace("@request", "request", 1)
-        if key not in ("arm", "alive", "gone"):
-            self.put(key, sample.payload.to_bytes())
+        key = str(sample.key_expr).removeprefix(f"{self._prefix}/")
+        if key not in GIVEN:
+            self.put("request" if key == "@request" else key, sample.payload.to_bytes())
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         self.put("alive" if sample.kind == zenoh.SampleKind.PUT else "gone", b"")

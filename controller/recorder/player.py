@@ -1,5 +1,6 @@
 """Publishes a recording again over Zenoh below another prefix, with a timeline that pages can move."""
 
+import contextlib
 import queue
 import time
 from collections.abc import Callable, Iterator
@@ -14,6 +15,7 @@ JSON = zenoh.Encoding.APPLICATION_JSON
 PUBLISH_EVERY = 0.2  # [s] between two messages on the key `timeline`
 LONGEST_WAIT = 0.05  # [s]
 FASTEST = 1000.0
+MOST_REQUESTS = 100  # for the timeline that wait; further ones are not answered
 COMMANDS = ("goal", "jog", "cancel", "stop", "reset", "degrade", "obstacles", "plan")
 REFUSAL = {"accepted": False, "id": None, "code": -1, "message": "this is the past: a replay takes no commands"}
 
@@ -72,7 +74,7 @@ class Player:
     def __init__(self, past: RecordingReader, session: zenoh.Session, prefix: str, timeline: Timeline) -> None:
         self._past, self._session, self.timeline = past, session, timeline
         self._prefix = f"{prefix}/{past.arm}"
-        self._requests: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
+        self._requests: queue.Queue[zenoh.Query] = queue.Queue(MOST_REQUESTS)
         description = msgspec.json.encode(past.description or {"name": past.arm})
         self._declared: list[Any] = [
             session.declare_queryable(f"{self._prefix}/arm", self._answering("arm", description)),
@@ -80,7 +82,7 @@ class Player:
                 session.declare_queryable(f"{self._prefix}/{key}", self._answering(key, msgspec.json.encode(REFUSAL)))
                 for key in COMMANDS
             ),
-            session.declare_queryable(f"{self._prefix}/timeline", self._requests.put),
+            session.declare_queryable(f"{self._prefix}/timeline", self._receive),
             session.liveliness().declare_token(f"{self._prefix}/alive"),
         ]
         self._coming: Iterator[RecordedMessage] = iter(())
@@ -111,6 +113,10 @@ class Player:
             if self._next is None and self.timeline.at >= self.timeline.end and not stay:
                 self._publish_timeline(now)
                 return
+
+    def _receive(self, query: zenoh.Query) -> None:
+        with contextlib.suppress(queue.Full):  # the query ends without an answer
+            self._requests.put_nowait(query)
 
     def _wait(self) -> None:
         """Waits for the next message or request, at most LONGEST_WAIT, and applies the request."""
@@ -164,7 +170,8 @@ class Player:
         return past.end if line.at >= line.end else past.begin if line.at <= line.begin else round(line.at * 1e9)
 
     def _put(self, message: RecordedMessage) -> None:
-        self._session.put(f"{self._prefix}/{message.key}", message.data, encoding=JSON)
+        if message.key != "timeline":  # a stranger may have published on the recorded arm's
+            self._session.put(f"{self._prefix}/{message.key}", message.data, encoding=JSON)
 
     def _publish_timeline(self, now: float) -> None:
         self._published_at = now

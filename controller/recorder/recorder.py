@@ -24,6 +24,7 @@ log = logging.getLogger(__name__)
 POLL = 0.2  # [s] between two checks of the clock
 ASK_EVERY = 5.0  # [s] between two requests for the arm's description, while there is no answer
 RETRY = 10.0  # [s] after a failure of the disk
+OWN = ("scene", "frames", "log")  # topics that the recorder makes; a message on such a key is recorded as "other"
 MOST_TOPICS = 100  # topics of unknown keys; further ones are recorded as "other"
 UNEXPECTED = (LookupError, TypeError, ValueError, AttributeError)  # raised by messages of another form than ours
 INFO, WARNING, ERROR = 2, 3, 4  # levels of foxglove.Log
@@ -229,7 +230,7 @@ class Recorder:
 
     def _plain(self, key: str, data: bytes) -> tuple[str, bytes]:
         """Returns topic and JSON object of a message of any form."""
-        known = key in TOPICS or key in self._topics or len(self._topics) < MOST_TOPICS
+        known = key not in OWN and (key in TOPICS or key in self._topics or len(self._topics) < MOST_TOPICS)
         try:
             value = msgspec.json.decode(data)
         except (msgspec.MsgspecError, RecursionError):

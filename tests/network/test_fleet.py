@@ -11,11 +11,13 @@ from contextlib import ExitStack, closing
 import pytest
 import zenoh
 
+from hyperbit.controller.network import fleet as fleets
 from hyperbit.controller.network import session
 from hyperbit.controller.network.fleet import LIST_TIMEOUT, ArmAddress, ArmStatus, Fleet, address_of, alive
 from hyperbit.controller.network.stop_all import stop_all
 from tests.endpoints import free_endpoint
 from tests.network.played import PlayedArm, Router
+from tests.strangers import intrude
 from tests.waiting import PATIENCE, eventually
 
 # An arm in a process of its own, until its standard input ends.
@@ -145,6 +147,27 @@ def test_a_stop_for_all_of_one_namespace_leaves_the_others(
     eventually(lambda: alive(viewer) == sorted(arms))
     assert stop_all(viewer, ("hyperbit/*",), timeout=PATIENCE).answers.keys() == {HERE}
     assert arms[THERE].requests == []
+
+
+def test_a_stranger_takes_no_arm_from_the_list_and_no_stop(
+    stack: ExitStack, router: Router, viewer: zenoh.Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fleets, "MOST_ARMS", 2)
+    stranger = stack.enter_context(zenoh.open(router.client()))
+    fleet = stack.enter_context(closing(Fleet(viewer)))
+    tokens = [stranger.liveliness().declare_token(f"hyperbit/{name}/alive") for name in ("x", "y")]
+    awaited(fleet, lambda found: len(living(found)) == 2)
+    queryable = stranger.declare_queryable("**/hyperbit/**", lambda query: query.reply(str(query.key_expr), b"5"))
+    for token in tokens:
+        token.undeclare()
+    awaited(fleet, lambda found: not living(found))
+    arm = PlayedArm(stack, router.client())
+    for prefix in (HERE.prefix, "hyperbit/x"):
+        intrude(stranger, prefix)
+    awaited(fleet, lambda found: living(found) == {HERE})
+    assert stop_all(viewer, timeout=PATIENCE).answers[HERE]["message"] == "stopped"
+    assert "stop" in arm.requests
+    queryable.undeclare()  # type: ignore[no-untyped-call]
 
 
 def test_an_arm_without_an_answer_is_named(stack: ExitStack, router: Router, viewer: zenoh.Session) -> None:

@@ -46,6 +46,7 @@ def test_all_messages_of_the_arm_are_received(ends: tuple[zenoh.Session, zenoh.S
     daemon.put("hyperbit/a/some/key", b"2")
     daemon.put("hyperbit/a/arm", b"forged")
     daemon.put("hyperbit/a/gone", b"forged")
+    daemon.put("hyperbit/a/request", b"forged")
     publisher.put(b"3")
     assert until(listener, "request", items).data == b"3"
     assert until(listener, "state", items).data == b"1"
@@ -82,6 +83,26 @@ def test_the_daemon_is_heard_to_come_and_go_and_describes_the_arm(ends: tuple[ze
     listener.close()
     token.undeclare()
     queryable.undeclare()
+
+
+def test_a_stranger_who_answers_hides_no_description(ends: tuple[zenoh.Session, zenoh.Session]) -> None:
+    """Without a target for all, Zenoh asks only the complete queryable."""
+    daemon, own = ends
+    queryables = [
+        daemon.declare_queryable(key, lambda query, data=data: query.reply("hyperbit/a/arm", data), complete=complete)
+        for key, data, complete in (("hyperbit/a/arm", ARM, False), ("hyperbit/a/*", b"forged", True))
+    ]
+    listener, items = Listener(own, "a"), list[ReceivedMessage]()
+
+    def described() -> bool:
+        listener.ask()
+        items.extend(listener.receive_messages(0.2))
+        return {it.data for it in items} == {ARM, b"forged"}
+
+    eventually(described)
+    listener.close()
+    for queryable in queryables:
+        queryable.undeclare()  # type: ignore[no-untyped-call]
 
 
 def test_what_nobody_writes_does_not_fill_the_memory(
