@@ -12,6 +12,7 @@ import numpy as np
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.settings import TransformsSettings
+from hyperbit.controller.host.files import read_file
 from hyperbit.controller.manipulator.notation import format_configuration
 from hyperbit.controller.workspace.densities import Densities
 
@@ -68,8 +69,8 @@ def file(arm: Arm) -> Payload | None:
     groups = [group for group in arm.settings.modules if isinstance(group, TransformsSettings)]
     names = [group.table for group in groups if group.table is not None]
     try:
-        data = arm.path.read_bytes()
-        tables = {name: (arm.path.parent / name).read_text(encoding="utf-8-sig") for name in names}
+        data = read_file(arm.path)
+        tables = {name: read_file(arm.path.parent / name).decode("utf-8-sig") for name in names}
         text = data.decode()
     except (OSError, UnicodeDecodeError):
         return None

@@ -1,13 +1,17 @@
 """CSV files: the first line names the columns, each further line is a row with its line number."""
 
 import csv
+import io
+import itertools
 from collections.abc import Iterator
-from itertools import islice
 from pathlib import Path, PurePath
-from typing import NamedTuple
+from typing import NamedTuple, TextIO
 
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.host.files import MOST, open_file
 
+MOST_STREAMED = 1_000_000_000  # bytes of a file whose rows are read one by one: some 20 million goals
+MOST_LINE = 100_000  # characters of a line
 MOST_STATES = 4096  # rows of a table of measured frames
 COMMAS = "a number has a decimal point, such as 0.3, and a text with commas stands in quotes"
 
@@ -26,15 +30,20 @@ class CsvFile(NamedTuple):
     rows: list[CsvRow]  # rows in the file's order, without empty lines
 
 
-def csv_rows(path: Path) -> Iterator[CsvRow]:
+def csv_rows(path: Path, most: int = MOST_STREAMED) -> Iterator[CsvRow]:
     """Yields the rows of a CSV file as they are read, the names of the columns first, and no empty lines.
+
+    Args:
+        path: of the file.
+        most: most bytes of the file.
 
     Raises:
         InputFaults: the file cannot be read, a column occurs twice, or a row has more fields than there are columns.
     """
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets write a byte order mark
-            reader = csv.reader(file, skipinitialspace=True, strict=True)
+        # spreadsheets write a byte order mark
+        with io.TextIOWrapper(open_file(path, most), newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(bounded_lines(file), skipinitialspace=True, strict=True)
             columns = [column.strip() for column in next(reader, [])]
             check_columns(path, columns)
             yield CsvRow(1, columns)
@@ -50,6 +59,16 @@ def csv_rows(path: Path) -> Iterator[CsvRow]:
         reason = error.strerror if isinstance(error, OSError) else error
         reason = f"{error}; save it as UTF-8" if isinstance(error, UnicodeDecodeError) else reason
         raise InputFaults(path, [f"cannot be read: {reason}"]) from None
+
+
+def bounded_lines(file: TextIO) -> Iterator[str]:
+    """Yields the lines of a file. Raises ValueError if one is too long for a line of a table."""
+    for number in itertools.count(1):
+        if not (line := file.readline(MOST_LINE + 1)):
+            return
+        if len(line) > MOST_LINE:
+            raise ValueError(f"line {number} has more than {MOST_LINE} characters; is it a CSV file?")
+        yield line
 
 
 def check_columns(path: Path, columns: list[str]) -> None:
@@ -74,8 +93,8 @@ def read_csv(path: Path, most: int | None = None) -> CsvFile:
     Raises:
         InputFaults: as in `csv_rows`.
     """
-    rows = csv_rows(path)
-    return CsvFile(next(rows).fields, list(islice(rows, None if most is None else most + 1)))
+    rows = csv_rows(path, MOST)
+    return CsvFile(next(rows).fields, list(itertools.islice(rows, None if most is None else most + 1)))
 
 
 def read_states(folder: Path, name: str | None, field: str, faults: list[str]) -> CsvFile | None:

@@ -7,10 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.host.files import MOST, read_file
 
 if TYPE_CHECKING:
     import yaml
 
+MOST_YAML = 4_000_000  # bytes of a YAML file; PyYAML takes 7 s and 170 MB for each million
+TOO_DEEP = "its values are nested hundreds of levels deep: is it the right file?"
 OCTAL = re.compile(r"0[0-9]")
 
 
@@ -60,26 +63,26 @@ def read_yaml(path: Path) -> Any:
     Raises:
         InputFaults: the file is missing, unreadable, empty or not YAML.
     """
-    text = read_text(path)
+    text = read_text(path, MOST_YAML)
     if not text.strip("\0 \t\r\n"):
         raise InputFaults(path, ["is empty, as a failure of the power can leave it: write it again"])
     return parse_yaml(text, path)
 
 
-def read_text(path: Path) -> str:
-    """Returns the text of a file.
+def read_text(path: Path, most: int = MOST) -> str:
+    """Returns the text of a file of at most `most` bytes.
 
     Raises:
-        InputFaults: the file is missing or unreadable.
+        InputFaults: the file is missing, unreadable or too large.
     """
     try:
-        return path.read_text(encoding="utf-8-sig")  # Windows' editors write a byte order mark
+        return read_file(path, most).decode("utf-8-sig")  # Windows' editors write a byte order mark
     except FileNotFoundError:
         raise InputFaults(path, ["no such file"]) from None
     except UnicodeDecodeError as error:
         raise InputFaults(path, [f"cannot be read: {error}; save it as UTF-8"]) from None
     except (OSError, ValueError) as error:
-        raise InputFaults(path, [f"cannot be read: {error}"]) from None
+        raise InputFaults(path, [f"cannot be read: {getattr(error, 'strerror', None) or error}"]) from None
 
 
 def parse_json(text: str) -> Any:
@@ -101,7 +104,7 @@ def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return fields
 
 
-def parse_payload(text: str, path: Path, what: str, field: str, most_yaml: int | None = None) -> dict[str, Any]:
+def parse_payload(text: str, path: Path, what: str, field: str, most_yaml: int = MOST_YAML) -> dict[str, Any]:
     """Returns the payload in a text that is JSON or YAML. YAML 1.1 refuses tabs, and reads 1e-05 as text.
 
     Args:
@@ -109,17 +112,19 @@ def parse_payload(text: str, path: Path, what: str, field: str, most_yaml: int |
         path: of its file, for messages; the text of a file `.json` must be JSON.
         what: kind of the payload, for messages.
         field: its main field, for messages.
-        most_yaml: most characters of YAML, which takes a thousand times as long to parse as JSON; None: no limit.
+        most_yaml: most characters of YAML, which takes a thousand times as long to parse as JSON.
 
     Raises:
         InputFaults: the text is neither, or no payload.
     """
     try:
         value = parse_json(text)
-    except (ValueError, RecursionError) as error:
+    except RecursionError:
+        raise InputFaults(path, [TOO_DEEP]) from None
+    except ValueError as error:
         if path.suffix.lower() == ".json":
             raise InputFaults(path, [f"is not JSON: {error}"]) from None
-        if most_yaml is not None and len(text) > most_yaml:
+        if len(text) > most_yaml:
             words = f"the text is no JSON ({error}), and YAML may have {most_yaml} characters at most"
             raise InputFaults(path, [words]) from None
         value = parse_yaml(text, path)
@@ -127,6 +132,8 @@ def parse_payload(text: str, path: Path, what: str, field: str, most_yaml: int |
         raise InputFaults(path, [f"no {what}: a mapping with `{field}` is needed"])
     try:
         json.dumps(value, allow_nan=False, ensure_ascii=False).encode()
+    except RecursionError:
+        raise InputFaults(path, [TOO_DEEP]) from None
     except (TypeError, ValueError) as error:
         raise InputFaults(path, [f"no {what}: {error}"]) from None
     return value
@@ -142,9 +149,11 @@ def parse_yaml(text: str, path: Path) -> Any:
 
     try:
         return yaml.load(text, build_loader())
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
+    except RecursionError:
+        raise InputFaults(path, [TOO_DEEP]) from None
+    except (yaml.YAMLError, ValueError, OverflowError) as error:
         mark = getattr(error, "problem_mark", None)
         line = None if mark is None else mark.line + 1
         raise InputFaults(path, [f"is not YAML: {' '.join(str(error).split())}"], [line]) from None
-    except (LookupError, AttributeError):  # raised by PyYAML's constructors of tagged values, e.g. `!!bool maybe`
+    except (LookupError, AttributeError, TypeError):  # PyYAML's constructors of tagged values, as of `!!bool maybe`
         raise InputFaults(path, ["is not YAML: a value does not suit its !!tag"]) from None

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from hyperbit.controller.armfile.documents import build_loader
+from hyperbit.controller.armfile.documents import MOST_YAML, build_loader, read_text
 from hyperbit.controller.armfile.strict import InputFaults
 
 if TYPE_CHECKING:
@@ -50,8 +50,8 @@ def compose(path: Path) -> "yaml.Node | None":
     import yaml
 
     try:
-        return yaml.compose(path.read_text(encoding="utf-8"), build_loader())
-    except (OSError, ValueError, RecursionError, yaml.YAMLError):
+        return yaml.compose(read_text(path, MOST_YAML), build_loader())
+    except (ValueError, RecursionError, yaml.YAMLError):
         return None
 
 

@@ -28,6 +28,7 @@ from hyperbit.controller.gateway.arrivals import RepeatedGoals
 from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.gateway.server import GatewayParts, Server
+from hyperbit.controller.host.files import read_file
 from hyperbit.controller.host.journal import fields_of_fault
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.manipulator.notation import format_configuration
@@ -102,7 +103,7 @@ def running(
         certificates = partial(ending, certificates_of(config))
         warnings = Warnings(reachable(session, config), book.faults, certificates=certificates)
         services = Services(inbox, book, published, outbox, notifier, warnings.active, daemon.fail)
-        label = Label("planner", name, digest, arm.path.read_text(encoding="utf-8") if arm.path is not None else "")
+        label = Label("planner", name, digest, read_file(arm.path).decode() if arm.path is not None else "")
         constant = {"manipulator": arm.manipulator}
         recorder = closing.enter_context(FlightRecorder(label, ledger.absolute().parent, OPAQUE, constant, RECORDS))
         link = ExecutorLink(executor, name, digest, simulated=simulated)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,13 +9,12 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta, Struct
 
+from hyperbit.controller.host.files import read_kept
 from hyperbit.controller.host.keeper import write_whole
 from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.planning.core.events import Payload, done
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
-
-log = logging.getLogger(__name__)
 
 MOST_POSES = 200  # of an arm
 MOST_BYTES, MOST_STORED = 100_000, 500_000  # of a payload, and of all poses: each answer to `arm` has them
@@ -35,22 +33,14 @@ class PosesMessage(Struct, forbid_unknown_fields=True, frozen=True):
 class Poses:
     """The named poses of one arm. For any thread.
 
-    A change is written to the file before it is answered. A file that cannot be read is kept and reported, and no
-    pose is saved then. `home` is the configuration of "home", unless an operator saves another one.
+    A change is written to the file before it is answered. A damaged file is set aside, and a new one begun.
+    `home` is the configuration of "home", unless an operator saves another one.
     """
 
     def __init__(self, path: Path, home: str) -> None:
         self._path, self._lock = path, threading.Lock()
         self._home: SavedGoal = {"waypoints": [{"configuration": home}]}
-        self._saved: dict[str, SavedGoal] = {}
-        self._problem: str | None = None
-        try:
-            self._saved = msgspec.json.decode(path.read_bytes(), type=dict[Name, SavedGoal])
-        except FileNotFoundError:
-            pass
-        except (OSError, msgspec.MsgspecError, UnicodeError) as error:
-            self._problem = f"{path} cannot be read: {error}"
-            log.error("the saved poses are not known: %s", self._problem)
+        self._saved = read_kept(path, dict[Name, SavedGoal], "its poses are not known") or {}
 
     def listed(self) -> list[Payload]:
         """Returns all poses, home first, the others by name, each with its `name` and `goal`."""
@@ -76,8 +66,6 @@ class Poses:
 
     def _write(self, saved: dict[str, SavedGoal]) -> None:
         """Replaces the file, or raises Refusal; a crash leaves the old file or the new one."""
-        if self._problem is not None:
-            raise Refusal(Reason.POSES_UNWRITTEN, why=self._problem)
         content = msgspec.json.format(msgspec.json.encode(saved), indent=1)
         if len(content) > MOST_STORED:
             raise Refusal(Reason.TOO_LARGE, what="the saved poses", size=len(content), most=MOST_STORED)

@@ -40,6 +40,8 @@ KINDS = ("executor", "planner")
 ARM = re.compile(r"[A-Za-z0-9_-]{1,64}")
 KEPT = 10  # saved files of an arm's process; the oldest ones are deleted
 RETRY = 0.02  # [s] between two attempts to lock a file
+LOOK_EVERY = 1.0  # [s] between two looks whether the file on the disk is still there
+GONE = b"was deleted or moved, and is written again"
 LONGEST_LINE = 1_000  # bytes of a message of the copying keeper; a pipe takes 4,096 at once
 
 
@@ -120,19 +122,6 @@ def write_whole(path: Path, content: bytes, *, sync: bool = True) -> None:
         file.write(content)
 
 
-def set_aside(path: Path, *suffixes: str) -> str:
-    """Renames a damaged file, and those with further suffixes; returns its new name.
-
-    Raises:
-        OSError: it cannot be renamed.
-    """
-    renamed = path.with_name(f"{path.name}.damaged-{time.time():.0f}")
-    for suffix in ("", *suffixes):
-        if (part := Path(f"{path}{suffix}")).exists():
-            part.rename(f"{renamed}{suffix}")
-    return renamed.name
-
-
 def start_keeper(job: str, *arguments: object, files: Sequence[int] = ()) -> subprocess.Popen[bytes]:
     """Starts a keeper with the job "copy" or "events", and pipes that do not block. May raise OSError."""
     command = [sys.executable, "-I", "-S", __file__, job, *map(str, arguments)]
@@ -151,15 +140,22 @@ def start_keeper(job: str, *arguments: object, files: Sequence[int] = ()) -> sub
 def copy(memory: int, path: Path, interval: float) -> None:
     """Copies a changed file in memory to the disk, each `interval` [s], and when the standard input ends.
 
-    The standard output has a line for each change: why the last copy failed, or an empty line if it succeeded. `memory`
-    is the descriptor of the file in memory.
+    A file on the disk that somebody deletes or moves is written again within a second.
+
+    The standard output has a line for each change: why the last copy failed, GONE, or an empty line after a success.
+    `memory` is the descriptor of the file in memory.
     """
-    told, copied, ended = None, b"", False
+    told, copied, ended, there, due = None, b"", False, path.exists(), time.monotonic() + interval
     while not ended:
-        ended = bool(select.select([0], [], [], interval)[0])
-        content, problem = os.pread(memory, os.fstat(memory).st_size, 0), b""
+        ended = bool(select.select([0], [], [], min(interval, LOOK_EVERY))[0])
+        before, there = there, path.exists()
+        gone = before and not there
+        if not (ended or gone) and time.monotonic() < due:
+            continue
+        due = time.monotonic() + interval
+        content, problem = os.pread(memory, os.fstat(memory).st_size, 0), GONE if gone else b""
         try:
-            if ended or content != copied:
+            if ended or gone or content != copied:
                 write_whole(path, content)
             copied = content
         except OSError as error:

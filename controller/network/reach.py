@@ -17,6 +17,7 @@ from typing import Any
 
 import zenoh
 
+from hyperbit.controller.host.files import read_file
 from hyperbit.controller.network.endpoints import START, Endpoint, parse_endpoint, port_taken
 from hyperbit.controller.network.session import TLS, reason
 
@@ -195,7 +196,7 @@ def unusable_address(text: str, error: zenoh.ZError) -> NoSession:
 
 def valid_until(file: str | None) -> datetime | None:
     try:
-        pem = PEM.search(Path(file or "").read_text(encoding="ascii"))
+        pem = PEM.search(read_file(Path(file or "")).decode("ascii"))
         times = VALIDITY.search(base64.b64decode(pem[1] if pem else ""))
         text = times[1].decode() if times else ""
         return datetime.strptime(text, "%Y%m%d%H%M%S" if len(text) == 14 else "%y%m%d%H%M%S").replace(tzinfo=UTC)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import zenoh
 
+from hyperbit.controller.host.files import open_file
 from hyperbit.controller.network.endpoints import parse_endpoint
 
 LEASE = 10.0  # [s] of silence after which a peer counts as lost; long, because busy machines stand still for seconds
@@ -55,7 +56,10 @@ def from_file(path: Path) -> zenoh.Config:
     Raises ValueError if the file, a certificate or a key cannot be read, or is no Zenoh configuration.
     """
     try:
+        open_file(path).close()  # Zenoh itself would read a device, or a pipe, without an end
         config = zenoh.Config.from_file(str(path))
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror}") from None
     except zenoh.ZError as error:
         raise ValueError(f"{path}: no Zenoh configuration: {reason(error)}") from None
     config.insert_json5("transport/shared_memory", json.dumps(SHARED_MEMORY))
@@ -63,7 +67,7 @@ def from_file(path: Path) -> zenoh.Config:
         if name in TLS_FILES and value is not None:
             file = path.parent / value
             try:
-                file.open().close()
+                open_file(file).close()
             except OSError as error:
                 raise ValueError(f"{path}: {name}: {file}: {error.strerror}") from None
             config.insert_json5(f"{TLS}/{name}", json.dumps(str(file.absolute())))

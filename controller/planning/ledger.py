@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from hyperbit.controller.host.files import read_file
 from hyperbit.controller.host.keeper import lock_file
 from hyperbit.controller.planning.core.events import Identity, Record, ResultEntry
 from hyperbit.controller.planning.ledger_file import MOST_GOALS, LedgerFile, counted, damaged, owed, plain
@@ -31,6 +32,7 @@ from hyperbit.controller.program import Fault
 log = logging.getLogger(__name__)
 
 WRITE_EVERY = 5.0  # [s] between two transactions with counts alone: each one wears flash memory
+LOOK_EVERY = 1.0  # [s] between two looks whether the file is still there
 MOST_MARKS = 1_000  # the executor stores no more results
 
 
@@ -39,7 +41,8 @@ class Ledger:
 
     A thread with one connection writes all waiting records at once, in one transaction. Counts are written with them,
     or alone after `write_every`. If the file cannot be written, `fault` says why, and the data is written later. A
-    damaged file is renamed; a new file begins with the present counts, but without the goals.
+    damaged file is set aside. A new file begins with the present counts, and with the goals that have no result yet.
+    A file that was deleted or moved is begun anew within a second.
 
     In the ledger's thread, `recorded` takes the number of each record after it was written or failed, and `fatal` takes
     a message when the thread dies.
@@ -63,7 +66,7 @@ class Ledger:
         self.known = tuple(counts.get(label, 0) for label in actuators)  # number of switches of each actuator so far
         self.owed = owed(path)  # goals that had no result when the ledger was opened
         self._recorded, self._fatal, self._write_every = recorded, fatal, write_every
-        self.file = LedgerFile(path, actuators)
+        self.file = LedgerFile(path, actuators, self.owed)
         self._queue: SimpleQueue[Record | None] = SimpleQueue()  # None: the end
         self._thread = threading.Thread(target=self._run, name="ledger", daemon=True)
         self._thread.start()
@@ -92,15 +95,18 @@ class Ledger:
 
     def _run(self) -> None:
         unwritten: deque[Record] = deque(maxlen=2 * MOST_GOALS)
-        due, closing = 0.0, False  # the first transaction opens the file, and detects damage
+        due, closing = 0.0, False  # of the next transaction; the first one opens the file, and detects damage
         try:
             while not closing:
                 waiting = list[Record | None]()
                 with suppress(Empty):
-                    waiting.append(self._queue.get(timeout=max(due - time.monotonic(), 0.0)))
+                    left = min(due - time.monotonic(), LOOK_EVERY)
+                    waiting.append(self._queue.get(timeout=max(left, 0.0)))
                     waiting += [self._queue.get() for _ in range(self._queue.qsize())]
                 closing, records = None in waiting, [record for record in waiting if record is not None]
                 unwritten.extend(records)
+                if not waiting and time.monotonic() < due and not self.file.is_gone():
+                    continue
                 if self._write(unwritten):
                     unwritten.clear()
                 for record in records:
@@ -120,14 +126,12 @@ class Ledger:
                 return True
             except Exception as error:
                 self.file.close()
-                if not damaged(error) or (renamed := self.file.set_aside()) is None:
+                if not damaged(error) or (told := self.file.set_aside(error)) is None:
                     if self.fault is None:
                         log.error("ledger %s cannot be written, counting continues in memory: %s", self._path, error)
                     self.fault = f"ledger {self._path} cannot be written: {error}"
                     return False
-                what = f"was damaged ({error}) and renamed to {renamed}; a new one was begun"
-                self.damage = f"ledger {self._path} {what}"
-                log.error("%s", self.damage)
+                self.damage = told
         return False
 
 
@@ -170,7 +174,7 @@ class PublishedResults:
     def __init__(self, path: Path) -> None:
         self._path, self._warned = path, False
         try:
-            content = path.read_bytes()
+            content = read_file(path)
         except OSError:  # the first start
             content = b""
         self._marks = {Identity(*mark[:2]): mark for mark in map(decoded, content.splitlines()) if mark is not None}

@@ -1,16 +1,18 @@
 """The ledger's SQLite file: schema, transactions, damage, and functions to read it."""
 
 import logging
-import os
 import sqlite3
 import time
-from collections.abc import Sequence
-from contextlib import closing
+from collections.abc import Mapping, Sequence
+from contextlib import closing, suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
+import msgspec
+
+from hyperbit.controller.host.files import set_aside
 from hyperbit.controller.host.folders import state_folder
-from hyperbit.controller.host.keeper import set_aside
 from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Record
 
 log = logging.getLogger(__name__)
@@ -56,13 +58,19 @@ class Damaged(Exception):
 
 
 class LedgerFile:
-    """One connection, opened by the first transaction. Belongs to one thread. For its arguments see `Ledger`."""
+    """One connection, opened by the first transaction. Belongs to one thread. For its arguments see `Ledger`.
 
-    def __init__(self, path: Path, actuators: Sequence[str]) -> None:
+    A file that is begun anew gets all counts, and the goals without a result: a result is owed for each of them.
+    """
+
+    def __init__(
+        self, path: Path, actuators: Sequence[str], running: Mapping[Identity, AcceptanceEntry] = MappingProxyType({})
+    ) -> None:
         self._path, self._actuators = path, actuators
         self._connection: sqlite3.Connection | None = None
-        self._inode = 0
+        self._file = 0, 0  # device and inode
         self._written: dict[str, int] = {}  # counts written by this connection
+        self._running = dict(running)  # goals without a result
 
     def write(self, records: Sequence[Record], counts: Sequence[int]) -> None:
         """Writes records and absolute counts in one transaction, or raises.
@@ -83,23 +91,35 @@ class LedgerFile:
             connection.execute(FORGOTTEN, (MOST_GOALS,))
             connection.executemany(COUNTED, new)
         self._written |= dict(new)
+        for _, identity, accepted, ended in records:
+            if ended is not None:
+                self._running.pop(identity, None)
+            elif accepted is not None:
+                self._running[identity] = accepted
+        while len(self._running) > MOST_OWED:
+            del self._running[next(iter(self._running))]
 
     def close(self) -> None:
         if self._connection is not None:
             self._connection.close()
             self._connection = None
 
-    def set_aside(self) -> str | None:
-        try:
-            return set_aside(self._path, "-wal", "-shm")
-        except OSError:
-            return None
+    def set_aside(self, why: Exception) -> str | None:
+        """Renames a damaged file; returns a sentence for users, or None if that is impossible."""
+        then = "a new one was begun, with all counts, and with the goals that have no result yet"
+        return set_aside(self._path, why, then, "-wal", "-shm")
+
+    def is_gone(self) -> bool:
+        """Returns whether somebody has deleted, moved or replaced the open file."""
+        return self._connection is not None and identified(self._path) != self._file
 
     def _opened(self) -> sqlite3.Connection:
-        """Returns the connection; opens it again if another process moved or deleted the file."""
-        if self._connection is not None and self._path.exists() and self._path.stat().st_ino == self._inode:
+        """Returns the connection; begins a new file if another process moved or deleted the old one."""
+        if self.is_gone():
+            log.warning("%s was deleted or moved: a new one is begun, with all counts", self._path)
+            self.close()
+        if self._connection is not None:
             return self._connection
-        self.close()
         self._path.parent.mkdir(parents=True, exist_ok=True)
         connection = sqlite3.connect(self._path, timeout=2.0, check_same_thread=False)
         try:
@@ -111,14 +131,25 @@ class LedgerFile:
             connection.executescript(INDICES)
             with connection:
                 connection.execute(LOST, (time.time(),))
+                for identity, accepted in self._running.items():
+                    connection.execute(ACCEPTED, (plain(accepted.goal), *accepted[1:], *identity))
             (sound,) = connection.execute("PRAGMA quick_check(1)").fetchone()
             if sound != "ok":
                 raise Damaged(sound)
         except BaseException:
             connection.close()
             raise
-        self._connection, self._inode, self._written = connection, os.stat(self._path).st_ino, {}
+        self._connection, self._file, self._written = connection, identified(self._path), {}
         return connection
+
+
+def identified(path: Path) -> tuple[int, int]:
+    """Returns device and inode of a file; zeros if it is gone."""
+    try:
+        found = path.stat()
+    except OSError:
+        return 0, 0
+    return found.st_dev, found.st_ino
 
 
 def damaged(error: Exception) -> bool:
@@ -135,24 +166,27 @@ def counted(path: Path) -> dict[str, int]:
     if not path.exists():  # the first start
         return {}
     try:
-        return read(path)[0]
+        found = read(path)[0]
     except (sqlite3.Error, OSError) as error:
         log.info("no counts in the ledger %s: %s", path, error)
         return {}
+    return {actuator: count for actuator, count in found.items() if type(count) is int}
 
 
 def owed(path: Path) -> dict[Identity, AcceptanceEntry]:
-    """Returns the newest thousand goals without a result, the oldest first; none if the ledger is unreadable.
+    """Returns the newest thousand goals without a result, the oldest first; of a damaged ledger those that can be read.
 
     Goals of earlier versions have no identity: no result can be found for them.
     """
+    found: dict[Identity, AcceptanceEntry] = {}
     try:
         with closing(readable(path)) as connection:
-            rows = connection.execute(OWED, (MOST_OWED,)).fetchall()
+            for row in connection.execute(OWED, (MOST_OWED,)):
+                with suppress(msgspec.ValidationError):  # SQLite stores values of any type in any column
+                    found[msgspec.convert(row[:2], Identity)] = msgspec.convert(row[2:], AcceptanceEntry)
     except sqlite3.Error as error:  # also a missing file, and one of an earlier version
-        log.debug("no goals in the ledger %s: %s", path, error)
-        return {}
-    return {Identity(*row[:2]): AcceptanceEntry(*row[2:]) for row in reversed(rows)}
+        log.debug("no more goals in the ledger %s: %s", path, error)
+    return dict(reversed(found.items()))
 
 
 def read(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:

@@ -8,6 +8,7 @@ from typing import IO, Any, NamedTuple
 import msgspec
 from mcap.reader import SeekingReader
 
+from hyperbit.controller.host.files import open_file
 from hyperbit.controller.recorder.repair import DAMAGE, rewrite, unfinished
 
 SNAPSHOTS = ("state", "diagnostics")  # keys whose latest message replaces all earlier ones
@@ -115,9 +116,9 @@ def opened(path: Path) -> tuple[IO[bytes], bool]:
         OSError: the file cannot be read.
     """
     if not unfinished(path):
-        return path.open("rb"), True
+        return open_file(path, None), True
     copy = tempfile.TemporaryFile()  # noqa: SIM115  # returned open
-    with path.open("rb") as cut:
+    with open_file(path, None) as cut:
         rewrite(cut, copy)
     copy.seek(0)
     return copy, False

@@ -13,6 +13,7 @@ from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Sch
 from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
+from hyperbit.controller.host.files import open_file
 from hyperbit.controller.recorder.recording import LIBRARY
 
 MOST = 1 << 30  # bytes of one record; a greater length is damage
@@ -34,7 +35,7 @@ DAMAGE = (
 
 def unfinished(path: Path) -> bool:
     """Returns whether a file begins as an MCAP file, but has no end."""
-    with path.open("rb") as file:
+    with open_file(path, None) as file:
         if not MCAP0_MAGIC.startswith(file.read(HEAD)):
             return False
         if os.fstat(file.fileno()).st_size < 2 * HEAD:
@@ -55,7 +56,7 @@ def repair(path: Path) -> int | None:
     """
     temporary = path.with_suffix(".repairing")
     try:
-        with path.open("rb") as damaged, temporary.open("wb") as completed:
+        with open_file(path, None) as damaged, temporary.open("wb") as completed:
             count, records = rewrite(damaged, completed)
             completed.flush()
             os.fsync(completed.fileno())

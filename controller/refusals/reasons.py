@@ -206,7 +206,7 @@ class Reason(enum.Enum):
     POSES_UNWRITTEN = (
         "poses-unwritten",
         "the saved poses cannot be changed: {why}",
-        "free or mend the disk; rename a file that is damaged",
+        "free or mend the disk",
     )
     BUSY = "busy", "busy: {most} {what} are waiting already", "wait for the answers"
     INTERNAL_ERROR = "internal-error", "internal error, see the journal", REPORT

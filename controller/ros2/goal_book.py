@@ -8,7 +8,8 @@ from typing import Annotated
 
 import msgspec
 
-from hyperbit.controller.host.keeper import set_aside, write_whole
+from hyperbit.controller.host.files import read_kept
+from hyperbit.controller.host.keeper import write_whole
 from hyperbit.controller.ros2.answers import GoalResult
 
 KEPT = 60.0  # [s] for which a result is kept after its goal's end
@@ -48,16 +49,9 @@ class GoalBook:
 
     def __init__(self, path: Path) -> None:
         self._path, self._lock = path, threading.Lock()
-        self._goals: dict[str, BookedGoal] = {}
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            self._goals = {goal.uuid: goal for goal in msgspec.json.decode(path.read_bytes(), type=list[BookedGoal])}
-        except FileNotFoundError:
-            pass
-        except (msgspec.MsgspecError, UnicodeError) as error:
-            log.error("goals before the start are not known: %s: %s; renamed to %s", path, error, set_aside(path))
-        except OSError as error:
-            log.error("goals before the start are not known: %s: %s", path, error)
+        kept = read_kept(path, list[BookedGoal], "goals and owed cancels of earlier runs are not known")
+        self._goals = {goal.uuid: goal for goal in kept or ()}
 
     def goals(self) -> list[BookedGoal]:
         """Returns all goals, the oldest first."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hyperbit.controller.host.files import open_file, set_aside
 from hyperbit.controller.host.folders import user_folder
 from hyperbit.controller.host.keeper import whole_file
 from hyperbit.controller.manipulator.manipulator import Manipulator
@@ -44,7 +45,7 @@ def load_or_map(
 ) -> Densities:
     """Returns the densities from the cache, or maps and stores them.
 
-    A damaged or wrong file is replaced. The folder is created if needed. If it cannot be written, a warning is logged.
+    A damaged or wrong file is set aside. The folder is created if needed. If it cannot be written, a warning is logged.
     For the arguments see map_densities; cached densities do not call `progress`.
     """
     wanted = key(manipulator, pixel, level_pixels)
@@ -62,7 +63,7 @@ def load_or_map(
 def load(path: Path, wanted: str) -> Densities | None:
     """Returns the densities in a file, or None if it is missing, damaged, or has another key than `wanted`."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with open_file(path, None) as file, np.load(file, allow_pickle=False) as archive:
             if (member := archive.zip.testzip()) is not None:
                 raise ValueError(f"the checksum of {member} is wrong")
             if str(archive["key"]) != wanted:
@@ -70,8 +71,11 @@ def load(path: Path, wanted: str) -> Densities | None:
             densities = Densities(**{name: archive[name] for name in Densities.__dataclass_fields__})
     except FileNotFoundError:
         return None
+    except OSError as error:
+        log.warning("densities in %s cannot be read, they are built anew: %s", path, error.strerror)
+        return None
     except Exception as error:  # damage can raise nearly anything; mapping again is safe
-        log.warning("densities in %s are built anew: %s", path, error)
+        set_aside(path, error, "its densities are built anew", kind="*.npz")
         return None
     return densities
 

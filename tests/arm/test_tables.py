@@ -121,5 +121,5 @@ def test_a_folder_is_no_table(folder):
     faults: list[str] = []
     (folder / "folder.csv").mkdir()
     assert read_table(folder, "folder.csv", "here", faults) is None
-    assert faults == ["here: folder.csv cannot be read: Is a directory"]
+    assert faults == ["here: folder.csv cannot be read: it is a directory, no file"]
     assert read_table(folder, "nul\0.csv", "here", faults) is None

@@ -40,7 +40,7 @@ def test_what_could_be_read_in_two_ways_is_refused(tmp_path, text, fault):
     assert fault in str(caught.value)
 
 
-@pytest.mark.parametrize("content", [None, b"\xff\xfe", b'x\n"1"2\n'])
+@pytest.mark.parametrize("content", [None, b"\xff\xfe", b'x\n"1"2\n', b"x" * 200_000])
 def test_an_unreadable_file_is_named(tmp_path, content):
     path = tmp_path / "goals.csv"
     if content is not None:

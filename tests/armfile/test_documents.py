@@ -29,6 +29,7 @@ def test_other_files_are_read_as_yaml():
         ("waypoints: []", "goal.json: is not JSON: Expecting value: line 1 column 1"),
         ('{"a": 1, "a": 2}', "goal.json: is not JSON: 'a' occurs twice in one object"),
         ("[1]", "goal.json: no goal: a mapping with `waypoints` is needed"),
+        ('{"a": ' * 100_000, "goal.json: its values are nested hundreds of levels deep"),
         ('{"a": NaN}', "goal.json: no goal: Out of range float values"),
         ('{"a": "\\ud800"}', "goal.json: no goal: 'utf-8' codec can't encode"),
     ],

@@ -74,13 +74,14 @@ def test_all_poses_together_have_a_bounded_size(file: Path, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"a": 5}', b'{"": {}}', b"\xff"])
-def test_a_damaged_file_is_kept_and_told(file: Path, content: bytes) -> None:
+def test_a_damaged_file_is_set_aside(file: Path, content: bytes) -> None:
     file.write_bytes(content)
     poses = Poses(file, "00")
     assert names(poses) == ["home"]
-    with pytest.raises(Refusal, match="cannot be read"):
-        poses.change(PosesMessage(save="pick", goal=PICK))
-    assert file.read_bytes() == content
+    poses.change(PosesMessage(save="pick", goal=PICK))
+    assert names(Poses(file, "00")) == ["home", "pick"]
+    [aside] = file.parent.glob(f"{file.name}.damaged-*")
+    assert aside.read_bytes() == content
 
 
 def test_a_folder_that_cannot_be_written_refuses_and_changes_nothing(tmp_path: Path) -> None:

@@ -53,7 +53,7 @@ def test_other_files_are_refused(tmp_path: Path, data: bytes) -> None:
 
 def test_no_file_a_folder_and_other_recordings_are_refused(tmp_path: Path) -> None:
     assert "No such file" in refusal(tmp_path / "none.mcap")
-    assert "Is a directory" in refusal(tmp_path)
+    assert "it is a directory, no file" in refusal(tmp_path)
     other = tmp_path / "other.mcap"
     with other.open("wb") as file:
         writer = Writer(file)

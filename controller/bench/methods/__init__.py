@@ -15,6 +15,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from hyperbit.controller.host.files import read_file
 from hyperbit.controller.search.method import MINIMUM_SWITCH
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ def find_method(target: str) -> Prepare:
     if place.endswith(".py"):
         file = Path(place).absolute()
         try:
-            source = file.read_bytes()
+            source = read_file(file)
         except OSError as error:
             raise ValueError(f"{target!r}: {place} cannot be read: {error.strerror}") from error
         return FileMethod(str(file), name, source)

@@ -16,6 +16,7 @@ from hyperbit.controller.armfile.terminals import named_boards
 from hyperbit.controller.commands import common
 from hyperbit.controller.commands.arguments import ArmFile, AsJson
 from hyperbit.controller.commands.common import CommandFailed, drawing, print_json
+from hyperbit.controller.host.files import read_file
 
 if TYPE_CHECKING:
     from hyperbit.controller.arm.arm import Arm
@@ -181,7 +182,9 @@ def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:
         raise InputFaults(Path("--node"), [f"{node}: the arm has no such board, only {', '.join(boards)}"])
     compared = [board for name, board in boards.items() if node in (None, name)]
     try:
-        sheet = Eds(eds, compared[0].node)
+        sheet = Eds(read_file(eds), compared[0].node)
+    except OSError as error:
+        raise InputFaults(eds, [f"cannot be read: {error.strerror}"]) from None
     except UnreadableEds as error:
         raise InputFaults(eds, [str(error)]) from None
     times, state = timing_of(arm.settings), wiring.error_state

@@ -21,6 +21,7 @@ from hyperbit.controller.commands.common import CommandFailed, densities_of, loa
 from hyperbit.controller.commands.connection import zenoh_config
 from hyperbit.controller.commands.operate.simulate import variants_of
 from hyperbit.controller.commands.process import ending_event
+from hyperbit.controller.host.files import read_file
 from hyperbit.controller.network.endpoints import wait_for_router
 
 if TYPE_CHECKING:
@@ -179,7 +180,7 @@ def serve(
     from hyperbit.controller.planning.ledger_file import default_path
 
     arm = load_wired(file)
-    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    digest = hashlib.sha256(read_file(file)).hexdigest()
     densities = densities_of(arm)
     book = ledger or default_path(arm.settings.name, simulated=simulated)
     ending = ending_event()  # before the first goal, so that an early signal ends goals in order

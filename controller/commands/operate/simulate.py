@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from hyperbit.drivers.simulation.simulation import Simulation
 
 WIDEST = max(map(len, VARIANTS))
+LONGEST_LINE = 1_000  # bytes of a line of the standard input; the rest is taken for another line
 BOARD = "Kind of the boards: KIND for all, or BOARD=KIND for one, such as can0/5=guarding-only; repeatable."
 
 
@@ -68,7 +69,7 @@ def variants_of(board: list[str], boards: list[str]) -> dict[str, Variant]:
 
 def obey(simulation: Simulation) -> None:
     """Injects the faults that lines on standard input name."""
-    for line in sys.stdin:
+    for line in iter(lambda: sys.stdin.buffer.readline(LONGEST_LINE).decode(errors="replace"), ""):
         try:
             if line.strip():
                 console.print(simulation.play_fault(line), markup=False)

@@ -36,6 +36,7 @@ from hyperbit.controller.commands.study.plan_search import (
     search_one,
     trajectories,
 )
+from hyperbit.controller.host.files import open_file
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.search.method import Method
 from hyperbit.controller.studies.shares import Run, goals_a_share
@@ -194,7 +195,7 @@ def study_goals(job: PlanJob, sharing: Sharing, output: Path | None, *, as_json:
 def about(job: PlanJob) -> dict[str, object]:
     """Returns what results belong to: one arm, file of goals and set of options."""
     own = {name: value for name, value in job.options._asdict().items() if name != "goals" and value is not None}
-    with (job.options.goals or Path()).open("rb") as file:
+    with open_file(job.options.goals or Path(), None) as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     return {"study": "plan", "arm": job.arm.digest, "goals": digest, "options": own}
 

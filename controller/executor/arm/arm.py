@@ -14,6 +14,7 @@ from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, 
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.armfile.terminals import actuator_terminals, owned_terminals
 from hyperbit.controller.executor.arm.kinds import mask_of
+from hyperbit.controller.host.files import read_file
 from hyperbit.drivers.canopen.layout import Unfit, lay_out
 from hyperbit.drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
 
@@ -71,7 +72,7 @@ def read_arm(path: Path) -> ExecutedArm:
         contract_on_stop=settings.on_stop == "contract",
         ending=ending_time(settings, len(actuators)),
         real_time=settings.real_time,
-        digest=hashlib.sha256(path.read_bytes()).hexdigest(),
+        digest=hashlib.sha256(read_file(path)).hexdigest(),
     )
 
 

@@ -20,6 +20,7 @@ from hyperbit.drivers.simulation.fault_commands import VERBS, play
 from hyperbit.drivers.simulation.variants import Variant, choose
 
 INPUT = 0  # file descriptor of the standard input
+LONGEST_LINE = 1_000  # bytes of a line of the standard input; the beginning of a longer one is lost
 MOST_STEPS = 500  # of the boards in one poll; a socket buffers a limited number of frames, too
 
 
@@ -88,7 +89,8 @@ class EmbeddedBoards:
             return
         data = os.read(INPUT, 4096)
         self._reads_lines = bool(data)
-        *lines, self._rest = (self._rest + data).split(b"\n")
+        *lines, rest = (self._rest + data).split(b"\n")
+        self._rest = rest[-LONGEST_LINE:]
         for text in filter(None, (line.decode(errors="replace").strip() for line in lines)):
             try:
                 print(self.play_fault(text), flush=True)

@@ -19,8 +19,9 @@ from pathlib import Path
 from typing import IO
 
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
+from hyperbit.controller.host.files import read_file, set_aside
 from hyperbit.controller.host.folders import state_folder
-from hyperbit.controller.host.keeper import SHARED, lock_file, start_keeper, write_whole
+from hyperbit.controller.host.keeper import GONE, SHARED, lock_file, start_keeper, write_whole
 
 log = logging.getLogger(__name__)
 
@@ -64,13 +65,19 @@ class FileJournal(SwitchJournal):
         self.memory = memory
         os.posix_fallocate(memory.fileno(), 0, length)  # no SIGBUS when the memory is full
         self.mapped = mmap.mmap(memory.fileno(), length)
-        kept = b""
-        with contextlib.suppress(OSError):
-            kept = path.read_bytes()
-        found = self._read(kept), self._read(self.mapped[:])
-        if any(kept) and not any(found):
-            self._damaged = f"{path} is damaged or of other actuators: counts of switches continue from the ledger's"
-            log.warning("%s", self._damaged)
+        kept, why = b"", None
+        try:
+            kept, why = read_file(path), "it is no journal, or of other actuators"
+        except (FileNotFoundError, NotADirectoryError):
+            pass
+        except OSError as error:
+            why = error.strerror
+        why = None if self._read(kept) else why
+        current = self._read(self.mapped[:])
+        if why:
+            then = "the file in memory has the counts" if current else "counts of switches continue from the ledger's"
+            told = set_aside(path, why, then)
+            self._damaged = "" if current else told or f"{path} is damaged ({why}): {then}"
         self._write()
         self.save()
 
@@ -80,7 +87,11 @@ class FileJournal(SwitchJournal):
         if self.copier is not None and self.copier.stdout is not None and not self.copier.stdout.closed:
             with contextlib.suppress(BlockingIOError):
                 told = os.read(self.copier.stdout.fileno(), 1 << 16).splitlines()
-                self._note(told[-1].decode(errors="replace") if told else "the process that copies them has ended")
+                for line in told or [b"the process that copies them has ended"]:
+                    if line == GONE:
+                        log.warning("%s %s", self._path, GONE.decode())
+                    else:
+                        self._note(line.decode(errors="replace"))
                 if not told:
                     self.copier.stdout.close()
         return "; ".join(text for text in (self._unsaved, self._damaged) if text) or None

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import msgspec
 
+from hyperbit.controller.host.files import read_kept
 from hyperbit.controller.host.keeper import write_whole
 from hyperbit.controller.panel.access.people import PersonEntry, digest_of
 
@@ -34,7 +35,8 @@ class Sessions:
         self, people: Mapping[str, PersonEntry], file: Path | None = None, clock: Callable[[], float] = time.time
     ) -> None:
         self._people, self._file, self._clock = people, file, clock
-        self._sessions = {} if file is None else read_sessions(file)
+        kept = None if file is None else read_kept(file, dict[str, Session], "all people must log in")
+        self._sessions = kept or {}
 
     def begin(self, entry: PersonEntry) -> str:
         cookie, now = secrets.token_urlsafe(32), self._clock()
@@ -67,17 +69,6 @@ class Sessions:
             write_whole(self._file, msgspec.json.encode(self._sessions), sync=False)
         except OSError as error:
             log.warning("sessions cannot be written, a restart ends them: %s", error)
-
-
-def read_sessions(file: Path) -> dict[str, Session]:
-    """Returns the sessions of a file; none if it is missing or damaged."""
-    try:
-        return msgspec.json.decode(file.read_bytes(), type=dict[str, Session])
-    except FileNotFoundError:
-        return {}
-    except (OSError, msgspec.MsgspecError, UnicodeError) as error:
-        log.warning("sessions cannot be read, all people must log in: %s", error)
-        return {}
 
 
 def sessions_file() -> Path | None:

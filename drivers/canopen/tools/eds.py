@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from pathlib import Path
 from typing import NamedTuple
 
 from hyperbit.drivers.canopen.tools.eds_file import Section, UnreadableEds, parse_number, read
@@ -53,10 +52,10 @@ def is_mapping(index: int) -> bool:
 
 
 class Eds:
-    """The object dictionary of an EDS; `node` is part of COB-IDs. Raises UnreadableEds."""
+    """The object dictionary in the content of an EDS; `node` is part of COB-IDs. Raises UnreadableEds."""
 
-    def __init__(self, path: Path, node: int) -> None:
-        self._file = read(path)
+    def __init__(self, content: bytes, node: int) -> None:
+        self._file = read(content)
         if not self._file.objects:
             raise UnreadableEds("no EDS: it describes no object, for instance in a section [1000]")
         self._node = node

@@ -6,10 +6,8 @@ Makers' files break many rules of CiA 306-1. So the reader requires only the par
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import NamedTuple
 
-_MOST_BYTES = 64 << 20
 _OBJECT = re.compile(r"(?:0x)?([0-9a-f]{1,4})(?:sub(?:0x)?([0-9a-f]{1,3}))?")
 _MODULE = re.compile(r"m\d+(?:subext|fixed(?:obj)?)([0-9a-f]{4})(?:sub[0-9a-f]+)?")
 _MODULE_LIST = re.compile(r"m\d+(?:subextends|fixedobjects)")
@@ -39,15 +37,8 @@ class EdsFile(NamedTuple):
     notes: list[str]  # sentences on skipped lines
 
 
-def read(path: Path) -> EdsFile:
-    """Reads a file. Raises UnreadableEds if the file is missing, or has no sections."""
-    try:
-        with path.open("rb") as file:
-            data = file.read(_MOST_BYTES + 1)
-    except OSError as error:
-        raise UnreadableEds(error.strerror or str(error)) from None
-    if len(data) > _MOST_BYTES:
-        raise UnreadableEds(f"no EDS: it has more than {_MOST_BYTES >> 20} MiB")
+def read(data: bytes) -> EdsFile:
+    """Reads the content of a file. Raises UnreadableEds if it is another kind of file."""
     encoding = next((name for bom, name in _BOMS.items() if data.startswith(bom)), "utf-8")
     text = data.decode(encoding, errors="replace")
     if text.lstrip().startswith("<"):

@@ -3,6 +3,7 @@
 import os
 import pickle
 import resource
+import shutil
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.process.journal_file import PAGE, FileJournal, default_path, shared_path
 from hyperbit.controller.host.keeper import FileInUse
+from tests.waiting import eventually
 
 LABELS = [f"1.{k}" for k in range(11)]
 
@@ -89,11 +91,24 @@ def test_a_damaged_file_is_reported_and_the_ledger_restores_the_counts(path: Pat
     path.write_bytes(os.urandom(path.stat().st_size))
     shared_path(path).unlink()
     journal = FileJournal(path, LABELS)
-    assert "damaged" in (journal.problem or "")
+    [aside] = path.parent.glob(f"{path.name}.damaged-*")
+    assert f"renamed to {aside.name}; counts of switches continue from the ledger's" in (journal.problem or "")
     journal.raise_to([7] * 11)
     journal.raise_to([3] * 11)
     journal.raise_to([9])
     assert journal.counts == [7] * 11
+    journal.close()
+
+
+@pytest.mark.parametrize("what", ["the file", "the folder"])
+def test_a_file_that_is_gone_is_written_again(path: Path, caplog: pytest.LogCaptureFixture, what: str) -> None:
+    journal = FileJournal(path, LABELS)
+    switched(journal, 0b11)
+    journal.start_copier(0.05)
+    eventually(lambda: path.read_bytes() == journal.mapped[:])
+    shutil.rmtree(path.parent) if what == "the folder" else path.unlink()
+    eventually(path.exists)
+    eventually(lambda: journal.problem is None and f"{path} was deleted or moved, and is written again" in caplog.text)
     journal.close()
 
 

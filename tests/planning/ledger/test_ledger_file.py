@@ -1,5 +1,6 @@
 """The file of the ledger: damage, deletion, a full disk, earlier versions, another process, its folder."""
 
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -45,15 +46,60 @@ def test_bytes_damaged_while_it_is_open_lose_no_count(path: Path) -> None:
     assert list(path.parent.glob("*.damaged-*"))
 
 
-def test_a_file_that_was_deleted_is_made_again_with_all_counts(ledger: Ledger, path: Path) -> None:
+def test_a_damaged_file_loses_no_result_that_is_owed(path: Path) -> None:
+    ledger = Ledger(path, NAMES, write_every=SOON)
+    for k in range(3):
+        ledger.record(accepted(k, f"goal {k}"))
+    ledger.record(ended(0))
+    ledger.close()
+    content = bytearray(path.read_bytes())
+    content[4096:8192] = b"\x5a" * 4096  # the table of the counts
+    path.write_bytes(content)
+    again = Ledger(path, NAMES, write_every=SOON)
+    eventually(lambda: again.damage)
+    again.record(ended(1))
+    again.close()
+    assert statuses(path) == [("goal 2", None), ("goal 1", "succeeded")]
+
+
+@pytest.mark.parametrize("what", ["the file", "the folder", "nothing, it is moved"])
+def test_a_file_that_is_gone_is_made_again_with_all_counts_and_owed_goals(
+    path: Path, what: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    ledger = Ledger(path, NAMES)  # of itself it writes counts every 5 s only
+    ledger.record(accepted(1, "running"))
+    ledger.record(accepted(2, "over"))
+    ledger.record(ended(2))
     ledger.counts([3, 0, 3])
-    eventually(lambda: configuration_text(path)[0])
+    eventually(lambda: len(configuration_text(path)[1]) == 2 and configuration_text(path)[0])
+    if what == "the folder":
+        shutil.rmtree(path.parent)
     for part in path.parent.glob(f"{path.name}*"):
         if part.suffix != ".lock":
-            part.unlink()
-    ledger.counts([4, 0, 3])
-    eventually(lambda: configuration_text(path)[0] == {"1.left": 4, "1.right": 3})
+            part.rename(path.parent.parent / part.name) if "moved" in what else part.unlink()
+    eventually(lambda: configuration_text(path)[0] == {"1.left": 3, "1.right": 3})
+    assert statuses(path) == [("running", None)]
+    assert f"{path} was deleted or moved: a new one is begun" in caplog.text
+    ledger.record(ended(1))
+    ledger.close()
+    assert statuses(path) == [("running", "succeeded")]
     assert ledger.faults() == ()
+
+
+def test_values_of_other_types_in_the_file_are_no_counts_and_no_goals(path: Path) -> None:
+    Ledger(path, NAMES).close()
+    with sqlite3.connect(path) as connection:
+        connection.execute("INSERT INTO switches VALUES ('1.left', 'many'), ('1.right', 7)")
+        connection.execute(
+            "INSERT INTO goals (id, accepted, waypoints, instance, program) VALUES (x'00', 'a', 1, 1, 1)"
+        )
+        connection.execute("INSERT INTO goals (id, accepted, waypoints, instance, program) VALUES ('a', 1.0, 1, 1, 2)")
+    connection.close()
+    ledger = Ledger(path, NAMES)
+    assert (ledger.known, [*ledger.owed]) == ((0, 0, 7), [(1, 2)])
+    ledger.counts([1, 1, 8])
+    ledger.close()
+    assert ledger.known == (1, 1, 8)
 
 
 def test_a_full_disk_loses_nothing_once_there_is_room(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,8 +8,8 @@ import tempfile
 from pathlib import Path
 from random import Random
 
-from hyperbit.controller.gateway import poses as poses_module
 from hyperbit.controller.gateway.poses import Poses
+from hyperbit.controller.host import files
 from tests.simulation.judge.interface.gateway import Gateway
 
 MEMORY = Path("/dev/shm")
@@ -20,16 +20,13 @@ class SavedPoses:
         self._random, self._judge = random, judge
         self._folder = tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None)
         self._path = Path(self._folder.name, "arm.poses.json")
-        poses_module.log.setLevel(logging.CRITICAL + 1)
+        files.log.setLevel(logging.CRITICAL + 1)
 
     def poses(self) -> Poses:
         judge = self._judge
-        if judge.damaged and self._random.random() < 0.5:  # somebody has removed the file
-            self._path.unlink()
-            judge.damaged = False
-        elif self._random.random() < 0.1:
+        if self._random.random() < 0.1:
             self._path.write_bytes(self._random.choice([b"{", b"\xff", b'{"": {}}', b"[]"]))
-            judge.damaged, judge.poses = True, {}
+            judge.poses = {}
         judge.begin()
         return Poses(self._path, "home of the model")
 

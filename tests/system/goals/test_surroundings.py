@@ -163,7 +163,7 @@ def test_a_damaged_journal_is_told_and_the_ledger_has_the_counts(system: System)
         client.move(LEFT, goal="after")
         assert client.wait_now("ready")["mode"] == "ready"
         eventually(lambda: system.counts() == system.boards.switches().tolist())
-    assert "is damaged" in (system.folder / "executor.log").read_text()
+    assert "was damaged" in (system.folder / "executor.log").read_text()
 
 
 @pytest.mark.fresh

@@ -232,7 +232,7 @@ def verdict(folder: Path, text: str, encoding: str = "utf-8") -> tuple[str, str,
     path.write_text(text, encoding=encoding, newline="")
     wiring = Wiring((BusWiring("can0", "none", "can0"),), CHANNELS)
     [board] = lay_out(wiring).boards
-    eds = Eds(path, 5)
+    eds = Eds(path.read_bytes(), 5)
     found = unmet(eds, board, Timing(), None)
     kind = "fits" if not found else "lacks" if any(lack.told for lack in found) else "open"
     return kind, "; ".join(map(str, found)), eds.notes
@@ -282,11 +282,10 @@ def test_what_cannot_be_understood_is_noted_with_its_line(tmp_path, change, note
     assert line.partition("=")[0] in told
 
 
-def test_an_eds_is_read_once_for_several_boards(tmp_path):
+def test_an_eds_serves_several_boards(tmp_path):
     path = tmp_path / "board.eds"
     path.write_text(TEXT)
-    eds = Eds(path, 5)
-    path.unlink()
+    eds = Eds(path.read_bytes(), 5)
     assert eds.value(0x1400, 1) == 0x205
     assert eds.at(9).value(0x1400, 1) == 0x209
     assert eds.value(0x1400, 1) == 0x205

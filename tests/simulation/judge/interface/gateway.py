@@ -35,7 +35,7 @@ class Gateway:
         self._a, self.recorded = account, False
         self.playable: PlayableFaults | None = None
         self.poses: dict[str, Any] = {}  # saved, by name
-        self.unwritable = self.damaged = False
+        self.unwritable = False
         self._homes = ""
         self.begin()
 
@@ -138,7 +138,7 @@ class Gateway:
             saved[body["save"]] = body["goal"]
         elif saved.pop(body["remove"], None) is None:
             request.expected = "unknown-pose"
-        if not request.expected and (self.unwritable or self.damaged):
+        if not request.expected and self.unwritable:
             request.expected = "poses-unwritten"
         if not request.expected:
             self.poses = saved
