@@ -33,7 +33,7 @@ export function showTimeline(connection, editor, notify) {
   connection.on("you", ({ replay }) => {
     if (!replay || !banner.hidden) return;
     banner.hidden = false;
-    fill(banner, el("b", {}, "Replay of a recording"), ". Nothing here moves an arm.");
+    if (timeline === null) fill(banner, el("b", {}, "Replay of a recording"), ". Nothing here moves an arm.");
     document.body.classList.add("replay");
     editor.clear();
     editor.setMode("pan");
