@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import html
 import json
+import logging
 import re
 import time
 from collections.abc import AsyncIterator, Callable, Sequence
@@ -17,7 +18,7 @@ from starlette.requests import HTTPConnection, Request
 from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hyperbit.controller.network.fleet import is_name
@@ -25,6 +26,7 @@ from hyperbit.controller.network.reach import NoSession
 from hyperbit.controller.network.stop_all import stop_all
 from hyperbit.controller.panel import requests
 from hyperbit.controller.panel.access.access import Access
+from hyperbit.controller.panel.access.doors import Doors
 from hyperbit.controller.panel.access.people import Person
 from hyperbit.controller.panel.access.places import PagePlace, Places
 from hyperbit.controller.panel.access.sessions import LASTS
@@ -36,9 +38,12 @@ from hyperbit.controller.panel.arms.metrics import endpoint
 from hyperbit.controller.panel.arms.pages import Page
 from hyperbit.controller.panel.shield import LOCAL, PublicAddress, Shield, TooLarge, policy
 
+log = logging.getLogger(__name__)
+
 DAEMONS = "hyperbit"  # prefix of their keys
 STATIC = Path(__file__).parent / "static"
 SESSION_EVERY = 1.0  # [s] between two checks of an open page's session
+CLOSED = (WebSocketDisconnect, RuntimeError)  # raised by a WebSocket that has ended
 NO_LOGIN, TOO_MANY, BAD = 4401, 4429, 4400  # close codes of the WebSocket
 
 
@@ -82,7 +87,7 @@ class PanelServer:
         }
         text = (STATIC / "index.html").read_text(encoding="utf-8")
         self._page = text.replace('<base href="/" />', f'<base href="{html.escape(self._path)}" />')
-        self._places, self._wrong = Places(), WrongTokens()
+        self.doors, self._places, self._wrong = Doors(), Places(), WrongTokens()
         self._arms: Arms | None = None
         self._threads = RequestThreads()
         routes = [
@@ -99,9 +104,11 @@ class PanelServer:
             Mount("/static", StaticFiles(directory=STATIC)),
         ]
         handlers = {HTTPException: refuse, TooLarge: too_large}
-        inner = Starlette(routes=routes, lifespan=self._lifespan, exception_handlers=handlers)
+        self._routed = Starlette(routes=routes, lifespan=self._lifespan, exception_handlers=handlers)
         scheme = "https" if tls else "http"
-        self.app: ASGIApp = Shield(inner, policy(inline_scripts(text)), scheme=scheme, hosts=hosts, public=public)
+        self.app: ASGIApp = Shield(
+            self._recognized, policy(inline_scripts(text)), scheme=scheme, hosts=hosts, public=public
+        )
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
@@ -113,6 +120,13 @@ class PanelServer:
         finally:
             self._threads.close()
             await asyncio.to_thread(session.close)
+
+    async def _recognized(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serves a request; its connection has the place of its person from now on."""
+        if scope["type"] in ("http", "websocket"):
+            person = self._person(HTTPConnection(scope))
+            self.doors.recognize(scope["client"], None if person is None else person.role)
+        await self._routed(scope, receive, send)
 
     @property
     def arms(self) -> Arms:
@@ -223,10 +237,13 @@ class PanelServer:
             await socket.close(TOO_MANY, "too many arms are known, or there is no such arm")
             return
         self._places.take_place(place)
+        self.doors.leave(socket.scope["client"])
         you = {"name": person.name, "role": person.role, "page": page.number, "replay": self._replay}
         page.offer("you", encoded({"section": "you", **you}))
         sender = asyncio.create_task(page.send_updates(lambda data: socket.send_text(data.decode())))
         receiver = asyncio.create_task(self._receive(socket, view, page))
+        for task in (sender, receiver):
+            task.add_done_callback(tell_defect)
         try:
             done = set[asyncio.Task[Any]]()
             while not done and self._person(socket) is not None:
@@ -241,7 +258,7 @@ class PanelServer:
         code = TOO_MANY if done else NO_LOGIN
         if receiver in done and receiver.exception() is None:
             code = receiver.result()
-        with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # already closed
+        with contextlib.suppress(*CLOSED):
             await socket.close(code)
 
     async def _receive(self, socket: WebSocket, view: ArmView | None, page: Page) -> int:
@@ -262,6 +279,13 @@ class PanelServer:
                 arm_page.refuse(0, str(error))
             except Flood:
                 return TOO_MANY
+
+
+def tell_defect(task: asyncio.Task[Any]) -> None:
+    """Logs the exception of a page's task, unless the page has closed."""
+    error = None if task.cancelled() else task.exception()
+    if error is not None and not isinstance(error, CLOSED):
+        log.error("an open page failed", exc_info=error)
 
 
 def address_of(connection: HTTPConnection) -> str:

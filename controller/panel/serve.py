@@ -22,6 +22,7 @@ from hyperbit.controller.network import session
 from hyperbit.controller.network.endpoints import parse_endpoint
 from hyperbit.controller.network.reach import missing_peers, open_session
 from hyperbit.controller.panel.access.access import Access
+from hyperbit.controller.panel.access.doors import CountedSocket
 from hyperbit.controller.panel.access.people import PersonEntry, digest_of, new_token, read_people
 from hyperbit.controller.panel.access.sessions import sessions_file
 from hyperbit.controller.panel.app import PanelServer
@@ -29,7 +30,6 @@ from hyperbit.controller.panel.http import CertifiedWebSocket, GuardedHttp
 from hyperbit.controller.panel.requests import MOST_BYTES
 from hyperbit.controller.panel.shield import LOCAL, PublicAddress
 
-MOST_CONNECTIONS = 500
 BACKLOG = 1024  # connections that wait to be accepted
 WATCHDOG_EVERY = 2.0  # [s]
 
@@ -169,7 +169,8 @@ def serve(
         public=public,
     )
     written = None if public is None else f"{public.origin}{public.path}"
-    asyncio.run(_serve(panel, address, tls, tokens, sockets, written))
+    counted: list[socket.socket] = [CountedSocket(it, panel.doors) for it in sockets]
+    asyncio.run(_serve(panel, address, tls, tokens, counted, written))
 
 
 async def _serve(
@@ -199,7 +200,6 @@ async def _serve(
             access_log=False,
             proxy_headers=False,
             server_header=False,
-            limit_concurrency=MOST_CONNECTIONS,
             timeout_graceful_shutdown=1,
             **options,
         )

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 from hyperbit.controller.panel.access.people import digest_of
 from tests.browser.conftest import OPERATOR, Shown, eventually, started
 from tests.endpoints import free_endpoint, free_port
+from tests.forwarding import Forwarder, passed
 from tests.panel.conftest import PlayedDaemon
 
 pytestmark = pytest.mark.timeout(600)
@@ -19,43 +19,18 @@ pytestmark = pytest.mark.timeout(600)
 PREFIX = "/hyperbit"
 
 
-class Proxy:
+class Proxy(Forwarder):
     """Passes requests below PREFIX to a page on this computer, with a Host of its own, as nginx does by default."""
 
-    def __init__(self, page: int) -> None:
-        self.port, self._page = free_port(), page
-        self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def _run(self) -> None:
-        with contextlib.suppress(asyncio.CancelledError, RuntimeError):
-            self._loop.run_until_complete(self._serve())
-
-    async def _serve(self) -> None:
-        await (await asyncio.start_server(self._connect, "127.0.0.1", self.port)).serve_forever()
-
-    async def _connect(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        with contextlib.suppress(OSError, asyncio.IncompleteReadError):
-            head = (await reader.readuntil(b"\r\n\r\n")).decode()
-            there, to = await asyncio.open_connection("127.0.0.1", self._page)
-            assert f" {PREFIX}/" in head.partition("\r\n")[0], "the page asks below its own path only"
-            head = head.replace(f" {PREFIX}/", " /", 1).replace(
-                f"Host: 127.0.0.1:{self.port}", f"Host: 127.0.0.1:{self._page}"
-            )
-            to.write((head if "Upgrade" in head else head.replace("\r\n", "\r\nConnection: close\r\n", 1)).encode())
-            await asyncio.gather(passed(reader, to), passed(there, writer))
-
-    def close(self) -> None:
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join()
-
-
-async def passed(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    with contextlib.suppress(OSError):
-        while data := await reader.read(65536):
-            writer.write(data)
-    writer.close()
+    async def connect(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        head = (await reader.readuntil(b"\r\n\r\n")).decode()
+        there, to = await asyncio.open_connection("127.0.0.1", self.target)
+        assert f" {PREFIX}/" in head.partition("\r\n")[0], "the page asks below its own path only"
+        head = head.replace(f" {PREFIX}/", " /", 1).replace(
+            f"Host: 127.0.0.1:{self.port}", f"Host: 127.0.0.1:{self.target}"
+        )
+        to.write((head if "Upgrade" in head else head.replace("\r\n", "\r\nConnection: close\r\n", 1)).encode())
+        await asyncio.gather(passed(reader, to), passed(there, writer))
 
 
 @pytest.fixture

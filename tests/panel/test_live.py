@@ -1,14 +1,18 @@
 """Open pages: shown data, allowed requests, and isolation of pages from each other."""
 
+import asyncio
+import gc
 import json
+import logging
 import threading
 
 import pytest
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hyperbit.controller.network.reach import Cause, NoSession
 from hyperbit.controller.panel.arm_page import RequestThreads
 from hyperbit.controller.panel.arms import arms
-from tests.panel.conftest import ARM, OPERATOR, OTHER, VIEWER, Opened, Site
+from tests.panel.conftest import ARM, OPERATOR, OTHER, SOCKETS, VIEWER, Opened, Site
 from tests.waiting import PATIENCE, eventually
 
 PAGES_THAT_STOP = 24  # each asks over HTTP and over its WebSocket, again and again
@@ -271,6 +275,31 @@ def test_pages_that_close_in_the_middle_leave_nothing(site: Site) -> None:
     eventually(lambda: not view.pages and site.panel._places.taken == 0)
     site.daemon.gate.set()
     assert site.open().ask("stop")["accepted"]
+
+
+@pytest.mark.parametrize("error", [WebSocketDisconnect(1006), RuntimeError("closed"), ValueError("a defect")])
+def test_a_page_that_closes_while_it_is_sent_to_is_no_error(
+    site: Site, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, error: Exception
+) -> None:
+    sending, ended = threading.Event(), threading.Event()
+
+    async def fail(*_: object) -> None:
+        """Fails as soon as the page has closed."""
+        sending.set()
+        try:
+            await asyncio.Event().wait()
+        except asyncio.CancelledError:
+            ended.set()
+            raise error from None
+
+    monkeypatch.setattr(WebSocket, "send_text", fail)
+    with site.browser.websocket_connect(f"{SOCKETS}/arms/{ARM}/live", headers=site.cookie(OPERATOR)):
+        sending.wait()
+    ended.wait()
+    site.browser.get("/")  # on the same event loop
+    gc.collect()  # asyncio tells of an exception that nobody asked for
+    told = [record.getMessage() for record in caplog.records if record.levelno >= logging.ERROR]
+    assert told == (["an open page failed"] if isinstance(error, ValueError) else [])
 
 
 def test_stops_that_nobody_answers_hold_up_no_other_stop() -> None:
