@@ -118,6 +118,11 @@ class Board:
         self._image.set_ready(self.layout, ready)
 
     @property
+    def remembered(self) -> bool:
+        """Whether its outputs are those commanded last: it has not restarted since its boot, and no boot has begun."""
+        return self._booted
+
+    @property
     def stopped(self) -> bool:
         """Whether the board is present and in state stopped: it answers no SDO."""
         return self.state is State.STOPPED and not self._lost

@@ -172,6 +172,19 @@ class OutputLines:
         self.doubtful &= ~lines
         return union(self._switch(key, states) for key in self.frames if key[0] == bus)
 
+    def written_off(self, lines: int) -> int:
+        """Records that lines were written off by SDO, and read back; returns the mask of those that were on."""
+        switched = self.states & lines
+        self._find_missed(lines)
+        self.states, self.unread, self.doubtful = self.states & ~lines, self.unread & ~lines, self.doubtful & ~lines
+        for key, frame in self.frames.items():
+            for bit in frame.bits if frame.lines & lines else ():
+                if bit.line & lines:
+                    self._image[key] = self._image[key] & ~bit.place | bit.place * bit.inverted
+            if frame.lines & lines:
+                self._latched[key] = None
+        return switched
+
     def bus_lost(self, bus: str, states: int | None) -> None:
         """Records the loss of a bus; `states`: levels to which a SYNC under way may have switched it."""
         lines = self.lines_of(bus)

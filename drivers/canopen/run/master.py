@@ -56,7 +56,7 @@ class Master:
         links = tuple(self.links.values())
         self._heartbeat = Heartbeat(links, self._boards, timing)
         self._inputs = InputWatch(self._boards, links, sum(1 << line for line in wiring.interlock_lines))
-        self._switching = OutputSwitching(self._boards, self.links, self._outputs, self._booting, timing)
+        self._switching = OutputSwitching(self._boards, self.links, self._outputs, timing)
         self._verification = Verification(self._boards, self._outputs, self._switching.commits)
 
     def receive_event(self, event: events.Event, now: float) -> None:

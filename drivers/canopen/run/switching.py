@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 
 from hyperbit.drivers.canopen.boards.board import Board
 from hyperbit.drivers.canopen.boards.outputs import OutputLines
-from hyperbit.drivers.canopen.boot.booting import Booting
 from hyperbit.drivers.canopen.faults import Busy
 from hyperbit.drivers.canopen.pdo import union
 from hyperbit.drivers.canopen.run.commit import BusCommit
+from hyperbit.drivers.canopen.run.switch_off import switch_off
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
 from hyperbit.drivers.canopen.wire.link import Link
@@ -23,21 +23,23 @@ class OutputSwitching:
 
     A SYNC is handed out only after all RPDOs were sent. So no SYNC waits in a queue when a bus fails, and frames that
     the kernel still holds switch nothing when the bus comes back. Each bus has its own release; no other bus delays it.
-    A release also switches lines off during a boot. Times `now` are real times, times `time` stand still while the loop
-    stalls [s].
+    A release also switches lines off during a boot, then by SDO. Times `now` are real times, times `time` stand still
+    while the loop stalls [s].
     """
 
     def __init__(
-        self, boards: Sequence[Board], links: Mapping[str, Link], outputs: OutputLines, booting: Booting, timing: Timing
+        self, boards: Sequence[Board], links: Mapping[str, Link], outputs: OutputLines, timing: Timing
     ) -> None:
         self.failed: str | None = None  # why the last stage has failed, as a sentence; None after a success
-        self.switched: list[tuple[int, float]] = []  # masks of lines, each with the real time of its SYNC [s]
+        self.switched: list[tuple[int, float]] = []  # masks of lines, each with the real time of its SYNC or write [s]
         self.commits = {name: BusCommit(link, outputs, self.switched) for name, link in links.items()}
-        self._boards, self._outputs, self._booting = boards, outputs, booting
+        self._boards, self._outputs = boards, outputs
         # A commit that takes longer is cancelled, since its SYNC would be too late [s].
         self._longest = timing.heartbeat_timeout / 2
+        self._told_within = 3 * timing.heartbeat  # [s], in which a board tells its NMT state
         self._stage: list[BusCommit] = []
         self._releases: dict[str, int] = {}  # by bus: mask of the lines that its last release switches off
+        self._now = 0.0  # at the last tick [s]
 
     @property
     def under_way(self) -> bool:
@@ -66,16 +68,19 @@ class OutputSwitching:
 
         A release also works for boards that are not ready, for buses that send frames again after a loss, and during a
         boot. A release that cannot begin now begins at a later call. A release that waits for its echoes continues. It
-        omits boards that have restarted: their outputs are off, and their frames could switch others on. Doubtful lines
-        of the same boards go off too: their levels are unknown, and a release switches nothing on.
+        omits boards that have restarted: their outputs are off. No frame leaves on a bus with an output of unknown
+        level: there each board that answers gets the lines off by SDO, and keeps its other outputs.
         """
         states, doubtful = self._outputs.states, self._outputs.doubtful
         alive = union(board.layout.output_lines for board in self._boards if not board.restarted)
         off = (states | doubtful) & ~outputs & alive
-        touched = union(lines for board in self._boards if (lines := board.layout.output_lines) & off)
+        unknown = {board.layout.bus for board in self._boards if not board.remembered}
         for bus in self.commits:
-            if here := off & self._outputs.lines_of(bus):
-                self._release(bus, states & ~off & ~(doubtful & touched), here, now, time)
+            here = self._outputs.lines_of(bus)
+            if off & here and (bus in unknown or doubtful & here & ~off):
+                self._switch_off(bus, off & here, time)
+            elif off & here:
+                self._release(bus, states & ~off, off & here, now, time)
         self._advance(now, time)
 
     def give_up(self, why: str, commits: Sequence[BusCommit] | None = None) -> None:
@@ -106,6 +111,7 @@ class OutputSwitching:
         self._end_failed()
 
     def tick(self, now: float, time: float) -> None:
+        self._now = now
         for commit in self.commits.values():
             if commit.under_way:
                 commit.tick(now)
@@ -142,15 +148,26 @@ class OutputSwitching:
         # A SYNC would also switch a lost board that is operational and has latched a frame. So a lost board leaves
         # operational first, unless it has lines that go off: such a board gets its frame like a ready one.
         here = [board for board in self._boards if board.link is commit.link]
-        left_out = {b.index: b for b in here if not b.ready and not b.layout.output_lines & off}
-        orders = [cia301.command(Command.PRE_OPERATIONAL, board.layout.node) for board in left_out.values()]
+        left_out = {b.index: b.layout.node for b in here if not b.ready and not b.layout.output_lines & off}
+        orders = [cia301.command(Command.PRE_OPERATIONAL, node) for node in left_out.values()]
         keys = [key for key in keys if not self._outputs.frames[key].boards <= left_out.keys()]
         self._stage = [other for other in self._stage if other is not commit]
         self._releases[bus] = off
         commit.begin(states, orders, keys, now, time)
-        for board in left_out.values():
-            if board.heard:  # the master has ordered it to leave operational, which its boot may have entered
-                self._booting.rebooted(board, time)
+
+    def _switch_off(self, bus: str, off: int, time: float) -> None:
+        """Switches lines off by SDO, on the boards of a bus that have nothing else to do."""
+        self.give_up("an output had to be switched off first")
+        self.commits[bus].give_up("it is replaced")
+        for board in self._boards:
+            here = board.layout.output_lines & off
+            if here and board.layout.bus == bus and board.heard and board.link.usable and not board.runner.running:
+                procedure = switch_off(board, self._outputs, here, self._told_within, self._written_off)
+                board.runner.start(procedure, None, time)
+
+    def _written_off(self, lines: int) -> None:
+        if lines:
+            self.switched.append((lines, self._now))
 
     def _ends(self, commit: BusCommit, off: int, now: float) -> bool:
         """Returns whether a stage that has just begun switches the lines off without waiting for another bus.

@@ -126,23 +126,38 @@ def test_outputs_of_a_ready_board_go_off_while_another_one_is_booted() -> None:
     assert world.boards.coils()[0] == (0, 0)
 
 
-def test_a_board_that_a_release_made_pre_operational_during_its_boot_is_booted_anew() -> None:
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_release_during_the_boot_of_another_board_sends_no_frame_and_keeps_all_other_outputs(shared: bool) -> None:
     slow = replace(STANDARD, answer_delay=0.02)
-    world = World(pairs(), variants={"can0/2": slow}).up()
-    world.master.commit(0b0001, world.now)
+    plain = [Channel("plain 1", "can0", 1, 5, None), Channel("plain 2", "can0", 2, 5, None)]
+    world = World([*pairs(), *plain], variants={"can0/2": slow}, shared_rpdo=shared).up()
+    world.master.commit(0b01101, world.now)
     world.run(0.05)
+    world.new_master()
     world.master.boot(world.now)
-    world.until(lambda: world.master.known == 0b01)
-    world.run(0.1)
-    world.frames(sdo=True)
+    world.until(lambda: world.master.known & 1)
     assert world.master.booting
-    world.master.commit(0, world.now, release=True)
+    world.frames()
+    world.master.commit(0b00100, world.now, release=True)
     world.run(0.1)
-    frames = world.frames(sdo=True)
-    assert frames.index((0x000, "80 02")) < frames.index((0x201, "00")) < frames.index((0x080, ""))
-    assert next(data for cob_id, data in frames if cob_id == 0x602) == "40 00 10 00 00 00 00 00"
+    assert (world.frames(), world.boards.coils()) == ([], [(0, 0), (0, 0), (1, 0), (1, 0)])
+    assert [lines for lines, _ in world.switched if lines == 1] == [1]
     world.until(lambda: not world.master.booting)
-    assert world.master.boot_faults == []
+    assert (world.master.boot_faults, world.master.outputs) == ([], 0b01100)
+
+
+def test_a_board_that_lost_its_bus_in_a_stage_keeps_the_outputs_that_the_sync_may_have_switched() -> None:
+    world = World([*pairs(), Channel("plain", "can0", 1, 5, None)]).up()
+    world.master.commit(0b00101, world.now)
+    world.until(lambda: not world.master.collecting)  # SYNC was handed out
+    world.buses["can0"].go_off()
+    world.run(0.02)
+    assert world.master.doubtful == 0b00101
+    world.buses["can0"].restore()
+    for _ in range(40):
+        world.master.commit((world.master.outputs | world.master.doubtful) & ~1, world.now, release=True)
+        world.run(0.01)
+    assert world.boards.coils() == [(0, 0), (0, 0), (1, 0)]
 
 
 def test_a_release_switches_nothing_on_at_a_board_that_has_restarted() -> None:
