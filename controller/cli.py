@@ -6,6 +6,7 @@ A command's module is imported when the command runs: `hyperbit stop` must not w
 import errno
 import importlib
 import io
+import os
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -145,8 +146,20 @@ def options(
     """Accepts the options that precede a command."""
 
 
+def fill_streams() -> None:
+    """Opens /dev/null for each missing standard stream, also for children. Call it before anything opens a file."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # it gets the lowest free number
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115
+
+
 def main() -> None:
     """Runs the command line; an error that the user can correct becomes a message and an exit code."""
+    fill_streams()
     exit_on_signals()
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # of terminals that are not UTF-8

@@ -43,12 +43,17 @@ class Process:
     def __init__(self, arm: str = "") -> None:
         from hyperbit.controller.host.journal import start_logging
         from hyperbit.controller.host.notify import Notifier
+        from hyperbit.controller.host.output import relay_zenoh_log
 
         start_logging({"HYPERBIT_ARM": arm} if arm else {})
+        relay_zenoh_log()
         self.arm, self.ending, self.notifier = arm, ending_event(), Notifier()
 
     def feed_watchdog(self) -> None:
+        from hyperbit.controller.host.output import flush_outputs
+
         self.notifier.notify("WATCHDOG=1")
+        flush_outputs()
 
     def wait(self, seconds: float = RETRY) -> bool:
         """Waits; returns whether the process is to end."""

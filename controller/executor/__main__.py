@@ -16,10 +16,11 @@ from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.process.buses import CanBuses
 from hyperbit.controller.executor.process.journal_file import FileJournal, default_path
-from hyperbit.controller.executor.process.real_time import enter_real_time, start_logging
+from hyperbit.controller.executor.process.real_time import enter_real_time
 from hyperbit.controller.executor.process.run import MOST_PENDING, EventLoop
 from hyperbit.controller.executor.process.server import ExecutorServer
 from hyperbit.controller.flight_recorder import FlightRecorder, Label
+from hyperbit.controller.host.journal import start_logging
 from hyperbit.controller.host.keeper import FileInUse
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.host.signals import ENDING, end_on_signals, ignore
@@ -65,8 +66,10 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         boards = simulated_boards(arm, board)
     elif board:
         raise InputFaults(Path("--board"), ["the variant of a simulated board needs --simulate"])
-    with contextlib.ExitStack() as closing:  # the log ends last
-        closing.callback(start_logging(arm.name))
+    start_logging({"HYPERBIT_ARM": arm.name})
+    for name in ("can", "canopen"):  # they log each SDO of simulated boards
+        logging.getLogger(name).setLevel(logging.WARNING)
+    with contextlib.ExitStack() as closing:
         notifier = Notifier()
         path = journal or default_path(arm.name, simulated=simulate)
         kept = notifier.kept_file("simulated-switches" if simulate else "switches")

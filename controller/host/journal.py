@@ -11,13 +11,13 @@ import socket
 import stat
 import sys
 import uuid
-from collections import deque
 from collections.abc import Mapping
 from functools import cache
 
+from hyperbit.controller.host.output import Backlog, never_wait
+
 SOCKET = "/run/systemd/journal/socket"
 KINDS = uuid.UUID("5d1f2f6c-6b0e-4c53-9d0a-7b1f3b7c9a21")  # the name space of the ids
-MOST_WAITING = 1_000  # datagrams; more are dropped, the oldest first
 MOST_TEXT = 60_000  # bytes of a field
 PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))  # syslog's
 BOARD = re.compile(r"(?P<bus>[\w.-]+)/(?P<board>\d+)\b")
@@ -68,10 +68,10 @@ class JournalHandler(logging.Handler):
 
     def __init__(self, other: logging.Handler, common: Fields, path: str = SOCKET) -> None:
         super().__init__()
-        self._other, self._path = other, path
+        self._other = other
         self._common = {"SYSLOG_IDENTIFIER": "hyperbit", **common}
-        self._waiting = deque[bytes](maxlen=MOST_WAITING)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
+        self._backlog = Backlog(lambda data: self._socket.sendto(data, path), self._dropped)
 
     def emit(self, record: logging.LogRecord) -> None:
         try:
@@ -79,35 +79,38 @@ class JournalHandler(logging.Handler):
         except Exception:  # an error in a log call must not stop the arm
             self._other.handle(record)
             return
-        self._waiting.append(data)
-        try:
-            while self._waiting:
-                self._socket.sendto(self._waiting[0], self._path)
-                self._waiting.popleft()
-        except BlockingIOError:
-            return
-        except OSError:  # the journal is gone
-            self._waiting.clear()
+        self._backlog.put(data)
+        if not self._backlog.flush():  # the journal is gone
             self._other.handle(record)
 
-    def setFormatter(self, fmt: logging.Formatter | None) -> None:  # name from logging
-        self._other.setFormatter(fmt)
+    def flush(self) -> None:
+        self._backlog.flush()
 
     def close(self) -> None:
+        self._backlog.finish()
         self._socket.close()
         self._other.close()
         super().close()
 
+    def _dropped(self, count: int) -> bytes:
+        text = f"{count} lines were dropped: the journal did not read them"
+        return datagram({**self._common, "MESSAGE": text, "PRIORITY": "4"})
+
 
 def start_logging(common: Fields) -> None:
-    """Writes log lines to the journal if the standard error is connected to it, otherwise to the standard error."""
-    lines = logging.StreamHandler(sys.stderr)
-    lines.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
+    """Sends log lines to the journal if the standard error is connected to it, otherwise to the standard error.
+
+    From now on nothing that this process prints waits for its reader. `common`: fields of each line in the journal.
+    """
+    never_wait()
+    handler: logging.Handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
     try:
         journal = is_journal(sys.stderr.fileno())
     except OSError:  # the stream has no file descriptor
         journal = False
-    handler = JournalHandler(lines, common) if journal else lines
+    if journal:
+        handler = JournalHandler(handler, common)
     logging.basicConfig(level=logging.INFO, handlers=[handler])
 
 

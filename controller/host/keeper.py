@@ -253,6 +253,14 @@ def keep(paths: Sequence[Path], folder: Path) -> None:
         path.unlink(missing_ok=True)
 
 
+def reopen_errors() -> None:
+    """Opens the standard error again if it is a pipe or terminal, so that no reader holds up the keeper."""
+    mode = os.fstat(2).st_mode
+    if stat.S_ISFIFO(mode) or stat.S_ISCHR(mode):
+        with contextlib.suppress(OSError):  # it belongs to another user, or nobody reads it
+            os.dup2(os.open("/proc/self/fd/2", os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY), 2)
+
+
 if __name__ == "__main__":
     with contextlib.suppress(OSError):  # the unit may let children inherit the executor's real-time priority
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
@@ -260,4 +268,5 @@ if __name__ == "__main__":
         copy(int(sys.argv[2]), Path(sys.argv[3]), float(sys.argv[4]))
     else:
         os.nice(5)
+        reopen_errors()
         keep([Path(word) for word in sys.argv[3:]], Path(sys.argv[2]))

@@ -17,6 +17,7 @@ import zenoh
 
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.host.notify import Notifier
+from hyperbit.controller.host.output import flush_outputs
 from hyperbit.controller.host.signals import end_on_signals
 from hyperbit.controller.network import session
 from hyperbit.controller.network.endpoints import parse_endpoint
@@ -230,4 +231,5 @@ async def _announce(server: uvicorn.Server, tokens: dict[str, str], written: Cal
     notifier.notify(f"STATUS=serving at {url}")
     while True:
         notifier.notify("WATCHDOG=1")
+        flush_outputs()
         await asyncio.sleep(WATCHDOG_EVERY)

@@ -5,13 +5,17 @@ One function handles all signals, see tests/host/test_signals.py; only uvicorn, 
 
 from __future__ import annotations
 
+import contextlib
 import os
+import pty
 import re
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -58,26 +62,30 @@ def start(tmp_path: Path, densities: Path) -> Iterator[Start]:
     )
     with ExitStack() as closing:
 
-        def run(words: str, until: str, *, nohup: bool = False, **more: str) -> subprocess.Popen[bytes]:
+        def run(
+            words: str, until: str, *, nohup: bool = False, terminal: int | None = None, **more: str
+        ) -> subprocess.Popen[bytes]:
             command = [sys.executable, "-c", begin.format("SIG_IGN" if nohup else "SIG_DFL")]
             command += words.format(**values, **more).split()
             log = tmp_path / "log"
-            output = closing.enter_context(log.open("wb"))
+            output = closing.enter_context(log.open("wb")) if terminal is None else terminal
             process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, env=environment, process_group=0
             )
             closing.callback(process.wait)
             closing.callback(process.kill)
-            eventually(lambda: process.poll() is not None or until in log.read_text(), told=log.read_text)
-            assert process.poll() is None, log.read_text()
+            said = partial(log.read_text, errors="replace")  # a character may be half read
+            eventually(lambda: process.poll() is not None or until in said(), told=said)
+            assert process.poll() is None, said()
             return process
 
         yield run
 
 
-def ignores_hang_up(process: subprocess.Popen[bytes]) -> bool:
-    mask = re.search(r"SigIgn:\s*([0-9a-f]+)", Path(f"/proc/{process.pid}/status").read_text())
-    return mask is not None and bool(int(mask[1], 16) >> (signal.SIGHUP - 1) & 1)
+def has(process: subprocess.Popen[bytes], mask: str, number: signal.Signals) -> bool:
+    """Returns whether a process ignores a signal, with the mask SigIgn, or handles it, with SigCgt."""
+    found = re.search(rf"{mask}:\s*([0-9a-f]+)", Path(f"/proc/{process.pid}/status").read_text())
+    return found is not None and bool(int(found[1], 16) >> (number - 1) & 1)
 
 
 @pytest.mark.parametrize(
@@ -94,7 +102,7 @@ def test_a_signal_ends_a_command_in_order(start: Start, tmp_path: Path, command:
 @pytest.mark.parametrize("command", SERVING)
 def test_an_ignored_hang_up_ends_no_command_and_sigterm_does(start: Start, tmp_path: Path, command: str) -> None:
     process = start(*SERVING[command], nohup=True)
-    assert ignores_hang_up(process)
+    assert has(process, "SigIgn", signal.SIGHUP)
     os.killpg(process.pid, signal.SIGHUP)
     os.killpg(process.pid, signal.SIGTERM)
     assert process.wait(PATIENCE) == 0
@@ -120,6 +128,56 @@ def test_a_signal_ends_what_follows_an_arm(
         os.killpg(process.pid, number)
         assert process.wait(PATIENCE) == code
         assert "Traceback" not in (tmp_path / "log").read_text()
+
+
+@pytest.fixture
+def terminal(tmp_path: Path) -> Iterator[tuple[int, int]]:
+    """Both ends of a terminal, the user's first. Its output goes to the log. Ask for it before `start`."""
+    user, program = pty.openpty()
+
+    def read() -> None:
+        with contextlib.suppress(OSError), (tmp_path / "log").open("wb", 0) as log:
+            while data := os.read(user, 4096):
+                log.write(data)
+
+    reading = threading.Thread(target=read)
+    reading.start()
+    yield user, program
+    os.close(program)
+    reading.join()
+    os.close(user)
+
+
+@pytest.mark.parametrize("command", SERVING)
+def test_a_paused_terminal_keeps_no_command_from_its_end(
+    terminal: tuple[int, int], start: Start, tmp_path: Path, command: str
+) -> None:
+    user, program = terminal
+    process = start(*SERVING[command], terminal=program)
+    os.write(user, b"\x13")  # Ctrl-S
+    process.terminate()
+    assert process.wait(PATIENCE) == 0
+    assert "Traceback" not in (tmp_path / "log").read_text()
+
+
+@pytest.mark.parametrize("missing", [(0,), (1,), (2,), (0, 1, 2)])
+def test_missing_streams_are_replaced(tmp_path: Path, missing: tuple[int, ...]) -> None:
+    def close() -> None:
+        for number in missing:
+            os.close(number)
+
+    command = [sys.executable, "-m", "hyperbit", "execute", PAPER, "--simulate", "--socket", str(tmp_path)]
+    command += ["--journal", str(tmp_path / "journal")]
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, preexec_fn=close)
+    try:
+        eventually(lambda: list(tmp_path.glob("*.sock")) and has(process, "SigCgt", signal.SIGTERM))
+        links = [os.readlink(f"/proc/{process.pid}/fd/{number}") for number in missing]
+        process.terminate()
+        assert process.wait(PATIENCE) == 0
+        assert links == [os.devnull] * len(missing)
+    finally:
+        process.kill()
+        process.wait()
 
 
 def test_a_demo_that_is_ended_ends_its_daemon(start: Start) -> None:

@@ -1,9 +1,12 @@
 """The command `hyperbit run --simulate` as a person starts it: planner, executor, and their ends."""
 
+import contextlib
 import os
+import pty
 import signal
 import subprocess
 import sys
+import termios
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -32,18 +35,25 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.fixture
-def process(folder: Path, cache: Path) -> Iterator[subprocess.Popen[bytes]]:
+@contextlib.contextmanager
+def started(folder: Path, cache: Path, output: int) -> Iterator[subprocess.Popen[bytes]]:
     command = [sys.executable, "-c", RUN, str(folder / "arm.yaml"), "--simulate", "--listen", endpoint(folder)]
     environment = {
         **os.environ, "NOTIFY_SOCKET": "", "XDG_CACHE_HOME": str(cache.parent), "STATE_DIRECTORY": str(folder),
         "RUNTIME_DIRECTORY": str(folder), "PYTHONPATH": str(ROOT),
     }  # fmt: skip
-    with (folder / "log").open("wb") as log:
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log, env=environment, process_group=0)
-    yield process
-    process.kill()
-    process.communicate()
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=output, env=environment, process_group=0)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def process(folder: Path, cache: Path) -> Iterator[subprocess.Popen[bytes]]:
+    with (folder / "log").open("wb") as log, started(folder, cache, log.fileno()) as process:
+        yield process
 
 
 def endpoint(folder: Path) -> str:
@@ -54,10 +64,10 @@ def endpoint(folder: Path) -> str:
     return file.read_text()
 
 
-@pytest.fixture
-def client(process: subprocess.Popen[bytes], folder: Path) -> Iterator[Observer]:
+@contextlib.contextmanager
+def connected(process: subprocess.Popen[bytes], folder: Path) -> Iterator[Observer]:
     def connect() -> zenoh.Session | None:
-        assert process.poll() is None, (folder / "log").read_text()
+        assert process.poll() is None
         try:
             return zenoh.open(session.configuration("client", connect=endpoint(folder)))
         except zenoh.ZError:
@@ -69,10 +79,32 @@ def client(process: subprocess.Popen[bytes], folder: Path) -> Iterator[Observer]
         yield client
 
 
+@pytest.fixture
+def client(process: subprocess.Popen[bytes], folder: Path) -> Iterator[Observer]:
+    with connected(process, folder) as client:
+        yield client
+
+
 def children(process: subprocess.Popen[bytes]) -> list[int]:
     """Returns the ids of the child processes of a process, but the keeper of its events."""
     others = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
     return [int(pid) for pid in others if b"keeper.py" not in Path(f"/proc/{pid}/cmdline").read_bytes()]
+
+
+def test_a_paused_terminal_stops_neither_states_nor_answers_nor_results(folder: Path, cache: Path) -> None:
+    user, program = pty.openpty()
+    termios.tcflow(program, termios.TCOOFF)  # as Ctrl-S does
+    with started(folder, cache, program) as process, connected(process, folder) as client:
+        client.move(MIDDLE)
+        client.goal(RIGHT, LEFT, times=[HOUR, 2 * HOUR], id="b")
+        client.wait_for("executing", "goal b")
+        assert client.ask("stop")["accepted"]
+        client.wait_for("stopped")
+        assert client.result("b")["status"] == "aborted"
+        process.terminate()
+        assert process.wait(PATIENCE) == 0
+    os.close(user)
+    os.close(program)
 
 
 def test_ctrl_c_ends_both_processes_in_order(process: subprocess.Popen[bytes], client: Observer, folder: Path) -> None:

@@ -176,6 +176,7 @@ def serve(
     """
     from hyperbit.controller.gateway.daemon import AlreadyRunning, running
     from hyperbit.controller.host.keeper import FileInUse
+    from hyperbit.controller.host.output import flush_outputs
     from hyperbit.controller.network.reach import NoSession
     from hyperbit.controller.planning.ledger_file import default_path
 
@@ -191,6 +192,7 @@ def serve(
                 return
         with running(arm, densities, digest, config, book, executor.path, simulated=simulated) as daemon:
             while not ending.wait(POLL):
+                flush_outputs()
                 if daemon.failure is not None:
                     raise CommandFailed(f"{daemon.failure}: the log has details")
                 if (code := executor.ended()) is not None:

@@ -43,12 +43,14 @@ def panel(
         return
     if (certificate is None) != (key is None) or (client_ca is not None and certificate is None):
         raise InputFaults(Path("panel"), ["--certificate and --key go together; --client-ca needs both"])
+    from hyperbit.controller.host.journal import start_logging
+
     try:
         from hyperbit.controller.panel.log_limit import LogLimit
         from hyperbit.controller.panel.serve import Tls, parse_address, parse_public_address, serve, zenoh_configuration
     except ImportError as error:
         raise CommandFailed(str(error), "install the page's libraries: pip install 'hyperbit[panel]'") from None
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    start_logging({})
     logging.getLogger().handlers[0].addFilter(LogLimit())
     tls = None if certificate is None or key is None else Tls(certificate, key, client_ca)
     try:

@@ -19,6 +19,7 @@ from hyperbit.controller.executor.process.buses import CanBuses
 from hyperbit.controller.executor.process.server import ExecutorServer
 from hyperbit.controller.flight_recorder import FlightRecorder
 from hyperbit.controller.host.notify import Notifier
+from hyperbit.controller.host.output import flush_outputs
 from hyperbit.controller.host.process import Log, Notify, Quit
 from hyperbit.controller.program import TICK
 
@@ -121,6 +122,7 @@ class EventLoop:
 
     def _tick(self, began: float) -> None:
         self._report_all()
+        flush_outputs()
         if self._core.reports.diagnostics_due(began + SOON):
             self._step(events.Health(self.real_time.drain_figures(), self._server.dropped, self._core.journal.problem))
         self._step(events.ExecutorTick())
