@@ -1,7 +1,6 @@
 """The page in a browser behind a proxy that serves it under a sub-path."""
 
 import asyncio
-import contextlib
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path

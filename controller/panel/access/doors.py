@@ -11,7 +11,7 @@ from hyperbit.controller.panel.access.people import Role
 
 log = logging.getLogger(__name__)
 
-# Most connections of each group. With the open pages, which have places of their own, they need fewer than 1024 descriptors.
+# Most connections of each group. With the open pages, which have their own places, they need below 1024 descriptors.
 MOST = {"stranger": 200, "viewer": 150, "operator": 150}
 TELL_EVERY = 60.0  # [s] between two lines of the log on connections of strangers that were closed
 
@@ -22,8 +22,8 @@ Peer = tuple[str, int]  # address and port of the other end
 class Doors:
     """The connections to the page's server, except those of open pages. Used only on the event loop of the pages.
 
-    A new connection is a stranger's until one of its requests shows a session. A full group closes its oldest connection,
-    of the address that has the most. So a new one always finds a place, and has time to show its session.
+    A new connection is a stranger's until one of its requests shows a session. A full group closes its oldest
+    connection, of the address that has the most. So a new one always finds a place, and has time to show its session.
     """
 
     def __init__(self) -> None:
