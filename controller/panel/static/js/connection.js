@@ -1,6 +1,7 @@
 // The WebSocket of a page: receives sections, sends requests, and reconnects automatically.
 
 const SILENT_AFTER = 1.5; // [s] without a state until values count as old
+const STALE = 5000; // [ms] without a heartbeat, or until a WebSocket is open; then another one is opened
 const NO_LOGIN = 4401; // close code of the server: log in first
 const REFUSED = 4429; // close code of the server, with a reason
 
@@ -17,25 +18,58 @@ export class Connection {
     this.serverAt = performance.now();
     this.pause = 250;
     this.refusal = ""; // why the server closed the WebSocket
+    this.again = null; // timer of the next WebSocket, while there is none
     this.connect();
     addEventListener("pagehide", () => this.socket.close()); // the browser may keep the page: it gives control up
+    // After a sleep of the computer the WebSocket is dead, and the browser may not tell for many minutes.
+    const watch = setInterval(() => this.renew(STALE), 1000);
+    const wake = () => {
+      if (this.again !== null) this.connect();
+      else setTimeout(() => this.renew(SILENT_AFTER * 1000), SILENT_AFTER * 1000);
+    };
+    const events = [[document, "visibilitychange"], [window, "online"], [window, "pageshow"]];
+    for (const [target, event] of events) target.addEventListener(event, wake);
+    this.end = () => {
+      clearInterval(watch);
+      for (const [target, event] of events) target.removeEventListener(event, wake);
+    };
   }
 
   connect() {
+    clearTimeout(this.again);
+    this.again = null;
     this.heartbeat = null;
+    this.livedAt = performance.now();
     this.socket = new WebSocket(new URL(this.path, document.baseURI).href.replace(/^http/, "ws"));
     this.socket.onmessage = (event) => {
-      this.serverAt = performance.now();
+      this.livedAt = this.serverAt = performance.now();
       this.pause = 250;
       for (const message of JSON.parse(event.data)) this.receiveMessage(message);
     };
     this.socket.onclose = (event) => {
-      for (const answer of this.waiting.values()) answer({ accepted: false, message: "the connection was lost" });
-      this.waiting.clear();
+      this.refuseWaiting();
       this.refusal = event.code === REFUSED ? event.reason : "";
-      if (event.code === NO_LOGIN) this.onLogin();
-      else setTimeout(() => this.connect(), (this.pause = Math.min(this.pause * 2, 5000)));
+      if (event.code !== NO_LOGIN) {
+        this.again = setTimeout(() => this.connect(), (this.pause = Math.min(this.pause * 2, 5000)));
+        return;
+      }
+      this.end();
+      this.onLogin();
     };
+  }
+
+  // Opens another WebSocket if this one shows no sign of life for `limit` [ms].
+  renew(limit) {
+    if (this.again !== null || performance.now() - this.livedAt < limit) return;
+    this.socket.onmessage = this.socket.onclose = null;
+    this.socket.close();
+    this.refuseWaiting();
+    this.connect();
+  }
+
+  refuseWaiting() {
+    for (const answer of this.waiting.values()) answer({ accepted: false, message: "the connection was lost" });
+    this.waiting.clear();
   }
 
   receiveMessage(message) {
