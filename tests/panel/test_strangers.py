@@ -24,7 +24,7 @@ def test_no_message_takes_stop_from_a_page(site: Site, stranger: zenoh.Session, 
     intrude(stranger, f"hyperbit/{ARM}", [key])
     last = {"id": "last", "waypoint": 0, "waypoints": 1}
     stranger.put(f"hyperbit/{ARM}/feedback", json.dumps(last))
-    page.until("goals", lambda told: told["goals"] and told["goals"][-1]["id"] == "last")
+    page.until("goals", lambda told: any(goal["id"] == "last" for goal in told["goals"]))
     site.daemon.state(reason="still heard")
     page.until("state", lambda told: told["reason"] == "still heard")
     assert page.latest["you"] == {"section": "you", "name": "anna", "role": "operator", "replay": False,
