@@ -75,9 +75,9 @@ def set_aside(path: Path, why: object, then: str, *suffixes: str, kind: str | No
     Returns:
         The logged sentence; None if the file cannot be renamed.
     """
-    number, stamp = 1, f"{path}.damaged-{time.time():.0f}"
-    while os.path.lexists(renamed := Path(stamp if number == 1 else f"{stamp}-{number}")):
-        number += 1
+    stamp = time.time_ns()
+    while os.path.lexists(renamed := Path(f"{path}.damaged-{stamp}")):
+        stamp += 1
     try:
         for suffix in (*suffixes, ""):  # the file itself last: a kill before that leaves it in its place
             if os.path.lexists(part := f"{path}{suffix}"):
@@ -88,8 +88,8 @@ def set_aside(path: Path, why: object, then: str, *suffixes: str, kind: str | No
     told = f"{path} was damaged ({why}), and renamed to {renamed.name}; {then}"
     log.error("%s", told)
     asides = [*path.parent.glob(f"{kind or glob.escape(path.name)}.damaged-*")]
-    whole = [aside for aside in asides if not aside.name.endswith(suffixes)] if suffixes else asides
-    for old in sorted(whole, key=lambda aside: aside.name.rpartition(".damaged-")[2])[:-MOST_ASIDE]:
+    others = [aside for aside in asides if aside != renamed and aside.suffix[9:].isdecimal()]
+    for old in sorted(others, key=lambda aside: int(aside.suffix[9:]))[: 1 - MOST_ASIDE]:
         for suffix in (*suffixes, ""):
             Path(f"{old}{suffix}").unlink(missing_ok=True)
         log.warning("%s deleted: %d newer damaged files stay", old, MOST_ASIDE)

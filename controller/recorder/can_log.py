@@ -10,6 +10,7 @@ from typing import IO
 import can
 
 from hyperbit.controller.armfile.settings import BusSettings
+from hyperbit.controller.host.files import is_at
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +41,9 @@ class CanLog:
     def begin(self, path: Path) -> None:
         """Continues in a new file."""
         self.flush()
+        self._open(path)
+
+    def _open(self, path: Path) -> None:
         if self._file is not None:
             self._file.close()
             self._file = None
@@ -55,6 +59,9 @@ class CanLog:
             dropped, self._dropped = self._dropped, 0
         if dropped:
             log.warning("%d frames were dropped: the disk is too slow", dropped)
+        if self._file is not None and not is_at(path := Path(self._file.name), self._file.fileno()):
+            log.error("%s was deleted or moved while it was written: it is begun again", path)
+            self._open(path)
         if self._file is None:
             return
         try:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
+from hyperbit.controller.host.files import is_at, set_aside
 from hyperbit.controller.host.keeper import lock_file
 from hyperbit.controller.recorder.repair import repair, unfinished
 
@@ -29,9 +30,8 @@ class Folder:
 
     def __init__(self, path: Path, arm: str, keep: int | None = None) -> None:
         self._path, self._arm, self._keep = path, arm, keep
-        path.mkdir(parents=True, exist_ok=True)
-        used = f"end the other recorder of the arm {arm!r}, or use another --folder: {path} is in use by process"
-        self._lock = lock_file(path / f".{arm}.lock", used)
+        self._kind = f"{arm}-[0-9]*.mcap"
+        self._lock = self._locked()
         self._repair()
 
     def close(self) -> None:
@@ -39,7 +39,13 @@ class Folder:
         os.close(self._lock)
 
     def new(self, now: float) -> Path:
-        """Returns the path of a recording that begins at a UNIX time [s]; deletes old recordings first."""
+        """Returns the path of a recording that begins at a UNIX time [s]; deletes old recordings first.
+
+        A folder that somebody has deleted or moved is created again.
+        """
+        if not is_at(self._path / f".{self._arm}.lock", self._lock):
+            lock, self._lock = self._lock, self._locked()
+            os.close(lock)
         self.make_room()
         stem = f"{self._arm}-{datetime.fromtimestamp(now, UTC):%Y%m%dT%H%M%SZ}"
         for k in range(1, 10_000):
@@ -64,15 +70,21 @@ class Folder:
                     part.unlink()
                 log.info("%s deleted: the recordings exceed %d bytes", path, self._keep)
 
+    def _locked(self) -> int:
+        self._path.mkdir(parents=True, exist_ok=True)
+        used = f"end the other recorder of the arm {self._arm!r}, or use another --folder: {self._path} is in use by"
+        return lock_file(self._path / f".{self._arm}.lock", f"{used} process")
+
     def _repair(self) -> None:
         for path in sorted(self._recordings()):
             try:
-                if unfinished(path):
-                    messages = repair(path)
-                    what = "deleted, it had no message" if messages is None else f"has {messages} messages"
+                if unfinished(path) and not (found := repair(path, self._kind)).damage:
+                    what = f"has {found.messages} messages" if found.records else "deleted, it had no message"
                     log.warning("%s was incomplete: repaired, %s", path, what)
             except OSError as error:
                 log.error("%s is incomplete and cannot be repaired: %s", path, error.strerror)
+            except Exception as error:  # what is read wrongly may be written wrongly, with nearly any exception
+                set_aside(path, f"{type(error).__name__}: {error}", "it is not repaired", kind=self._kind)
 
     def _recordings(self) -> Iterator[Path]:
         """Yields the arm's recordings, without those of arms whose longer name begins with this arm's name."""

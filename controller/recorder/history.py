@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from hyperbit.controller.recorder.reader import RecordingReader
+from hyperbit.controller.recorder.repair import guarded
 
 Message = Mapping[str, Any]
 
@@ -69,6 +70,12 @@ def history(past: RecordingReader) -> list[RecordedGoal | RecordedChange]:
     Raises:
         BadRecording: the file is damaged.
     """
+    with guarded(past.path):
+        return read_history(past)
+
+
+def read_history(past: RecordingReader) -> list[RecordedGoal | RecordedChange]:
+    """Returns the same as `history`; raises nearly any exception if a message has another form."""
     notes: list[Message] = []
     states: list[tuple[float, Message]] = []
     feedback: dict[str, deque[dict[int, str | None]]] = defaultdict(lambda: deque([{}]))
@@ -84,7 +91,7 @@ def history(past: RecordingReader) -> list[RecordedGoal | RecordedChange]:
             case "state" if brief(message) != (brief(states[-1][1]) if states else None):
                 states.append((message.get("stamp", 0.0), message))
             case "feedback":
-                feedback[name][-1][message.get("waypoint", -1)] = message.get("configuration")
+                feedback[name][-1][int(message.get("waypoint", -1))] = message.get("configuration")
             case "result" if not (message.get("repeated") and results[name]):
                 results[name].append(message)
                 feedback[name].append({})  # an id may be used again

@@ -1,5 +1,6 @@
 """Reads a recording of one arm, complete or incomplete."""
 
+import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,14 +10,20 @@ import msgspec
 from mcap.reader import SeekingReader
 
 from hyperbit.controller.host.files import open_file
-from hyperbit.controller.recorder.repair import DAMAGE, rewrite, unfinished
+from hyperbit.controller.network.fleet import is_name
+from hyperbit.controller.recorder.repair import BadRecording, guarded, rewrite, unfinished
 
 SNAPSHOTS = ("state", "diagnostics")  # keys whose latest message replaces all earlier ones
-SKIPPED = ("arm", "alive", "log", "scene", "frames", "other")  # written by the recorder, or served in another way
-
-
-class BadRecording(Exception):
-    """A file is no recording of an arm; the text says why."""
+SKIPPED = (
+    "arm",
+    "alive",
+    "log",
+    "scene",
+    "frames",
+    "other",
+    "timeline",
+)  # written by the recorder, or served in another way
+KEY = re.compile(r"[^/*$#?\0]+(/[^/*$#?\0]+)*")  # other keys are no keys of Zenoh, or stand for several
 
 
 class RecordedMessage(NamedTuple):
@@ -47,29 +54,31 @@ class RecordingReader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
+        with guarded(path):
             self._file, self.whole = opened(path)
             self._reader = SeekingReader(self._file, validate_crcs=True)
             summary = self._reader.get_summary()
             topics = {channel.topic for channel in summary.channels.values()} if summary else set[str]()
             statistics = summary.statistics if summary else None
-        except OSError as error:
-            raise BadRecording(f"{path}: cannot be read: {error.strerror or error}") from None
-        except DAMAGE as error:
-            raise BadRecording(f"{path}: no MCAP file, or damaged: {error}") from None
         arms = {parts[1] for topic in topics if len(parts := topic.split("/", 2)) == 3 and parts[0] == "hyperbit"}
         if len(arms) != 1 or statistics is None or not statistics.message_count:
             what = "of no arm" if not arms else f"of {len(arms)} arms"
             raise BadRecording(f"{path}: a recording {what}; one of `hyperbit record` is needed")
         (self.arm,) = arms
+        if not is_name(self.arm):
+            raise BadRecording(f"{path}: a recording of the arm {self.arm!r}, which is no name of an arm")
         self.begin, self.end = statistics.message_start_time, statistics.message_end_time
-        self._topics = [topic for topic in topics if topic.split("/", 2)[2] not in SKIPPED]
+        if self.begin > self.end:
+            raise BadRecording(f"{path}: damaged: its end is before its begin")
+        prefix = f"hyperbit/{self.arm}/"
+        keys = {topic.removeprefix(prefix) for topic in topics if topic.startswith(prefix)}
+        self._topics = [prefix + key for key in keys if KEY.fullmatch(key) and key not in SKIPPED]
         latest = self._last("arm", self.end)
         try:
             self.description: dict[str, Any] | None = (
                 None if latest is None else msgspec.json.decode(latest.data, type=dict)
             )
-        except msgspec.MsgspecError:
+        except (msgspec.MsgspecError, UnicodeError, RecursionError):
             self.description = None
 
     def close(self) -> None:
@@ -99,14 +108,12 @@ class RecordingReader:
     def _read(
         self, begin: int | None, end: int | None, topics: list[str], reverse: bool = False
     ) -> Iterator[RecordedMessage]:
-        try:
+        with guarded(self.path):
             found = self._reader.iter_messages(topics, starting_at=begin, ending_before=end, reverse=reverse)
             for _, channel, message in found:
+                if not self.begin <= message.log_time <= self.end:
+                    raise BadRecording(f"{self.path}: damaged: a message lies outside the times of the recording")
                 yield RecordedMessage(message.log_time, channel.topic.split("/", 2)[2], message.data)
-        except OSError as error:
-            raise BadRecording(f"{self.path}: cannot be read: {error.strerror or error}") from None
-        except DAMAGE as error:
-            raise BadRecording(f"{self.path}: damaged: {error}") from None
 
 
 def opened(path: Path) -> tuple[IO[bytes], bool]:

@@ -258,9 +258,14 @@ class Recorder:
             self._attempt(lambda: recording.write(topic, kind, data, log_time, publish_time))
 
     def turn(self) -> None:
-        """Flushes data that is due, and ends a recording that has reached its limits."""
+        """Flushes data that is due, and ends a recording that has reached its limits, or is gone."""
         at = time.monotonic_ns()
         recording, now = self._recording, self._clock.at(at)
+        if recording is not None and recording.is_gone():
+            log.error("%s was deleted or moved while it was written: the next recording begins", recording.path)
+            self.end_recording()
+            self._open(at)
+            return
         if recording is None or recording.begun is None:
             return
         stepped = abs(step := self._clock.step()) >= CLOCK_STEP

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
+from hyperbit.controller.host.files import is_at
 from hyperbit.controller.recorder.schemas import schema_of
 
 FLUSH_EVERY = 1_000_000_000  # [ns] of the messages' log time
@@ -82,6 +83,10 @@ class Recording:
         self._writer.flush()  # type: ignore[no-untyped-call]
         if self._fsync:
             os.fsync(self._file.fileno())
+
+    def is_gone(self) -> bool:
+        """Returns whether somebody has deleted or moved the file."""
+        return not is_at(self.path, self._file.fileno())
 
     def close(self) -> None:
         """Completes the file."""

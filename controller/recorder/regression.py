@@ -21,6 +21,7 @@ from hyperbit.controller.network.client import Client, Unanswered
 from hyperbit.controller.planning.ledger import Ledger
 from hyperbit.controller.recorder.history import RecordedChange, RecordedGoal, history
 from hyperbit.controller.recorder.reader import RecordingReader
+from hyperbit.controller.recorder.repair import BadRecording, guarded
 from hyperbit.controller.search.method import MINIMUM_SWITCH
 
 Message = Mapping[str, Any]
@@ -145,8 +146,10 @@ def compare(past: RecordingReader, file: Path | None, report: Callable[[Compared
                 if not (answer := arm.ask(step.key, step.payload)).get("accepted"):
                     raise ArmFailed(f"the simulated arm refuses a recorded {step.key}: {answer.get('message')}")
                 arm.wait_ready(STARTING)  # the planner rebuilds its tables for locked actuators
-            else:
-                report(compared(arm, step, anytime=anytime))
+                continue
+            with guarded(past.path, ArmFailed, zenoh.ZError):
+                found = compared(arm, step, anytime=anytime)
+            report(found)
 
 
 def compared(arm: SimulatedArm, goal: RecordedGoal, *, anytime: bool) -> Compared:
@@ -198,10 +201,9 @@ def simulated(past: RecordingReader, file: Path | None) -> Iterator[SimulatedArm
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hyperbit-")))
         (recorded := folder / "recorded").mkdir()
-        path = patient_copy(arm_file(past, recorded) if file is None else file, folder)
-        endpoint, log = f"unixsock-stream/{folder / 'zenoh.sock'}", folder / "log"
         ledger = folder / "ledger.db"
-        counted(past, ledger)
+        path = patient_copy(prepared(past, file, recorded, ledger), folder)
+        endpoint, log = f"unixsock-stream/{folder / 'zenoh.sock'}", folder / "log"
         command = [sys.executable, "-m", "hyperbit", "run", str(path), "--simulate", "--listen", endpoint]
         process = subprocess.Popen(
             [*command, "--ledger", str(ledger)],
@@ -228,20 +230,33 @@ def simulated(past: RecordingReader, file: Path | None) -> Iterator[SimulatedArm
         yield arm
 
 
+def prepared(past: RecordingReader, file: Path | None, folder: Path, ledger: Path) -> Path:
+    """Writes what the simulated arm needs of a recording: a ledger, and its file, unless `file` is given.
+
+    Returns the path of the arm's file.
+
+    Raises:
+        BadRecording: the recording is damaged, or has no valid arm's file.
+    """
+    with guarded(past.path):
+        counted(past, ledger)
+        return arm_file(past, folder) if file is None else file
+
+
 def arm_file(past: RecordingReader, folder: Path) -> Path:
     """Writes the recorded arm's file and its tables into a folder; returns the file's path.
 
     Raises:
-        ArmFailed: the recording has no valid arm's file.
+        BadRecording: the recording has no valid arm's file.
     """
     file = (past.description or {}).get("file")
     if not isinstance(file, dict) or not isinstance(file.get("text"), str):
-        raise ArmFailed(f"{past.path} does not contain the arm's file: name it by --arm")
+        raise BadRecording(f"{past.path} does not contain the arm's file: name it by --arm")
     if hashlib.sha256(file["text"].encode()).hexdigest() != file.get("sha256"):
-        raise ArmFailed(f"{past.path}: the arm's file in it was changed: name the file by --arm")
+        raise BadRecording(f"{past.path}: the arm's file in it was changed: name the file by --arm")
     for name, text in (file.get("tables") or {}).items():
         if PurePath(name).is_absolute() or ".." in PurePath(name).parts:
-            raise ArmFailed(f"{past.path}: a table of the arm's file would be written to {name}")
+            raise BadRecording(f"{past.path}: a table of the arm's file would be written to {name}")
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text, encoding="utf-8")
     path = folder / "arm.yaml"

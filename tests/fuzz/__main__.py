@@ -41,6 +41,7 @@ JOBS = [
     [("degrade", "hypothesis", 5_000)],
     [("obstacles", "hypothesis", 10_000)],
     [("board", "hypothesis", 4_000)],
+    [("recording", "hypothesis", 1_500)],
 ]
 LONGEST = 1800.0  # [s] for one of them
 LEAK = 0.01  # share by which the blocks held may grow after a fifth of the runs

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from tests.fuzz import frames, packets, payloads, requests
+from tests.fuzz import frames, packets, payloads, recordings, requests
 
 CORPUS = Path(__file__).with_name("corpus")
 
@@ -64,6 +64,9 @@ TARGETS = {
         [text.encode("utf-8", "surrogatepass") for text in payloads.NOTATIONS],
         payloads.notations,
         size=100,
+    ),
+    "recording": Target(
+        lambda: recordings.read_recording, [bytes([k]) for k in range(5)], st.binary(min_size=8, max_size=8), size=8
     ),
     "executor": Target(frames.Boards, frames.SEEDS, frames.any_acts, size=150 * frames.SIZE),
     "packets": Target(packets.Packets, packets.SEEDS, packets.any_packets, size=3000),

@@ -36,7 +36,8 @@ def test_seeds_and_former_failures(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "examples"), [("executor", 15), ("packets", 15), ("board", 100), ("arm", 40), ("obstacles", 100)]
+    ("name", "examples"),
+    [("executor", 15), ("packets", 15), ("board", 100), ("arm", 40), ("obstacles", 100), ("recording", 20)],
 )
 def test_hypothesis_finds_nothing(name, examples):
     attack = TARGETS[name].build()

@@ -43,6 +43,26 @@ def test_unfinished_recordings_of_the_arm_are_repaired_at_the_start(tmp_path: Pa
     assert unfinished(others), "of another arm, whose name begins like this one's"
 
 
+def test_a_damaged_recording_is_set_aside_and_the_recorder_starts(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "a-19700101T000000Z.mcap"
+    recording = written(path)
+    recording.flush()
+    recording.abandon()
+    content = bytearray(path.read_bytes())
+    at, chunk = 8, 6
+    while content[at] != chunk:
+        at += 9 + int.from_bytes(content[at + 1 : at + 9], "little")
+    content[at + 25 : at + 33] = b"\xff" * 8  # the uncompressed size of the first chunk
+    path.write_bytes(content)
+    Folder(tmp_path, "a").close()
+    (aside,) = tmp_path.glob("*.damaged-*")
+    assert f"{path} was damaged (McapError: a chunk of {2**64 - 1} bytes), and renamed to {aside.name}" in caplog.text
+    assert aside.read_bytes() == bytes(content)
+    assert not path.exists(), "the first chunk has the channels: without it nothing can be read"
+
+
 def test_a_file_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "a-19700101T000000Z.mcap"
     path.write_bytes(b"no recording, but named as one")

@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
-from hyperbit.controller.recorder.reader import BadRecording, RecordingReader
+from hyperbit.controller.recorder.reader import RecordingReader
 from hyperbit.controller.recorder.recording import Recording
+from hyperbit.controller.recorder.repair import BadRecording
 from tests.recorder.samples import SECOND
 from tests.recorder.test_recording import written
 
@@ -67,6 +68,18 @@ def test_no_file_a_folder_and_other_recordings_are_refused(tmp_path: Path) -> No
         two.write(f"hyperbit/{name}/state", "state", b"{}", 1, 1)
     two.close()
     assert "of 2 arms" in refusal(two.path)
+    wild = Recording(tmp_path / "wild.mcap")
+    wild.write("hyperbit/*/state", "state", b"{}", 1, 1)
+    wild.close()
+    assert "the arm '*', which is no name of an arm" in refusal(wild.path)
+
+
+def test_topics_that_are_no_keys_are_not_read(tmp_path: Path) -> None:
+    recording = Recording(tmp_path / "a.mcap")
+    for key in ("state", "*", "a/**", "a//b", "a#b", "$*", "a?b", "", "timeline", "other"):
+        recording.write(f"hyperbit/a/{key}", "other", b"{}", 1, 1)
+    recording.close()
+    assert [told.key for told in RecordingReader(recording.path).messages()] == ["state"]
 
 
 def test_damage_within_is_told_where_it_is_read(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.host.keeper import FileInUse
 from hyperbit.controller.recorder import recorder as module
 from hyperbit.controller.recorder.folder import Folder
 from hyperbit.controller.recorder.recorder import MOST_TOPICS, Limits, Recorder
@@ -185,6 +186,37 @@ def test_a_disk_that_fails_is_told_and_tried_again(
     recorder.end_recording()
     assert len(files(tmp_path)) == 2
     assert on(read(files(tmp_path)[1]), "state")[-1]["stamp"] == 3.0
+
+
+@pytest.mark.parametrize("what", ["deleted", "moved", "folder"])
+def test_a_recording_that_is_gone_is_noticed_and_the_next_one_begins(
+    tmp_path: Path, arm: Arm, caplog: pytest.LogCaptureFixture, what: str
+) -> None:
+    place = tmp_path / "recordings"
+    folder = Folder(place, "planar16")
+    recorder = Recorder("planar16", folder, LIMITS)
+    recorder.receive_message(heard(1.0, "arm", told(arm)))
+    (gone,) = files(place)
+    recorder.turn()
+    assert files(place) == [gone]
+    match what:
+        case "deleted":
+            gone.unlink()
+        case "moved":
+            gone.rename(tmp_path / gone.name)
+        case "folder":
+            place.rename(tmp_path / "elsewhere")
+    recorder.turn()
+    assert f"{gone} was deleted or moved while it was written: the next recording begins" in caplog.text
+    with pytest.raises(FileInUse):
+        Folder(place, "planar16")
+    recorder.receive_message(heard(2.0, "state", state(arm, [0] * 16, 100.0)))
+    recorder.end_recording()
+    (path,) = files(place)
+    assert len(on(read(path), "state")) == 1
+    if what == "moved":
+        assert on(read(tmp_path / gone.name), "arm"), "the moved file is complete"
+    folder.close()
 
 
 def test_what_the_arm_publishes_fits_its_schema(arm: Arm) -> None:

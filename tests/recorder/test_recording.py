@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from hyperbit.controller.host.files import MOST_ASIDE
 from hyperbit.controller.recorder.recording import LogClock, Recording
 from hyperbit.controller.recorder.repair import repair, unfinished
 from tests.recorder.samples import SECOND, names, read, read_by_another, read_unfinished, recovered_by_another
@@ -73,39 +74,55 @@ def test_a_file_cut_anywhere_is_repaired_with_all_that_two_readers_find(tmp_path
         assert unfinished(path)
         expected = read_unfinished(whole[:cut])
         assert expected == recovered_by_another(whole[:cut])
-        messages = repair(path)
-        if messages is None:
-            assert expected == []
-            assert not path.exists()
+        found = repair(path)
+        assert (found.messages, found.damage) == (len(expected), "")
+        assert path.exists() is bool(found.records)
+        if not found.records:
             continue
-        assert messages == len(expected)
         assert read(path) == expected == read_by_another(path)
         assert not unfinished(path)
 
 
-def test_a_damaged_file_keeps_what_is_before_the_damage(tmp_path: Path) -> None:
+def test_a_damaged_file_keeps_all_other_chunks_and_is_set_aside(tmp_path: Path) -> None:
     recording = written(tmp_path / "a.mcap", 200)
     recording.close()
     whole, draw = recording.path.read_bytes(), random.Random(7)
     for _ in range(60):
         data, path = bytearray(whole[:-9]), tmp_path / "damaged.mcap"
         for _ in range(draw.randrange(1, 5)):
-            data[draw.randrange(len(data))] = draw.randrange(256)
+            data[draw.randrange(8, len(data))] = draw.randrange(256)
         path.write_bytes(data)
-        messages = repair(path)  # raises nothing
-        if messages is not None:
-            found = numbers(read(path)) if messages else []
-            assert found == list(range(len(found)))
+        found = repair(path)  # raises nothing
+        if path.exists():
+            assert len(read(path)) == found.messages
+        asides = sorted(tmp_path.glob("damaged.mcap.damaged-*"))
+        assert not found.damage or bytes(data) in [aside.read_bytes() for aside in asides]
+    assert 1 <= len(asides) <= MOST_ASIDE
+
+
+def test_one_damaged_chunk_costs_its_own_messages_only(tmp_path: Path) -> None:
+    recording = written(tmp_path / "a.mcap", 200)
+    recording.flush()
+    recording.abandon()
+    data = bytearray(recording.path.read_bytes())
+    at = data.index(b"zstd", len(data) // 2)
+    data[at + 30 : at + 40] = bytes(10)
+    recording.path.write_bytes(data)
+    found = repair(recording.path)
+    assert found.damage
+    there = numbers(read(recording.path))
+    assert (there[0], there[-1]) == (0, 199)
+    assert 150 < len(there) < 200
 
 
 def test_metadata_and_attachments_survive(tmp_path: Path) -> None:
     recording = written(tmp_path / "a.mcap")
     recording.flush()
     recording.abandon()
-    assert repair(recording.path) == 100
+    assert repair(recording.path).messages == 100
     kinds = names(recording.path)
     assert kinds.count("Metadata") == kinds.count("Attachment") == 1
-    assert repair(recording.path) == 100, "a repaired file stays as it is"
+    assert repair(recording.path).messages == 100, "a repaired file stays as it is"
 
 
 def test_a_file_that_nobody_can_write_is_told_as_such(tmp_path: Path) -> None:

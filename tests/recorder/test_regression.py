@@ -15,7 +15,8 @@ from hyperbit.controller.recorder.folder import Folder
 from hyperbit.controller.recorder.history import RecordedChange, RecordedGoal, history
 from hyperbit.controller.recorder.reader import RecordingReader
 from hyperbit.controller.recorder.recorder import Limits, Recorder
-from hyperbit.controller.recorder.regression import ArmFailed, Compared, arm_file, compare, compared, simulated
+from hyperbit.controller.recorder.regression import Compared, arm_file, compare, compared, simulated
+from hyperbit.controller.recorder.repair import BadRecording
 from tests.keys import DEPLOY
 from tests.recorder.samples import heard, planar, told
 from tests.waiting import eventually
@@ -195,11 +196,11 @@ def test_the_history_is_read_in_the_order_of_requests(tmp_path: Path) -> None:
 def test_a_recorded_file_cannot_be_written_elsewhere(tmp_path: Path) -> None:
     arm = told(planar())
     arm["file"]["tables"] = {"../evil.csv": "x"}
-    with pytest.raises(ArmFailed, match=r"evil\.csv"):
+    with pytest.raises(BadRecording, match=r"evil\.csv"):
         arm_file(RecordingReader(recorded(tmp_path / "a", lambda _: None, arm)), tmp_path)
     arm["file"]["tables"], arm["file"]["text"] = {}, "name: changed"
-    with pytest.raises(ArmFailed, match="was changed"):
+    with pytest.raises(BadRecording, match="was changed"):
         arm_file(RecordingReader(recorded(tmp_path / "b", lambda _: None, arm)), tmp_path)
     arm["file"] = None
-    with pytest.raises(ArmFailed, match="--arm"):
+    with pytest.raises(BadRecording, match="--arm"):
         arm_file(RecordingReader(recorded(tmp_path / "c", lambda _: None, arm)), tmp_path)

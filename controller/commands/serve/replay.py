@@ -80,7 +80,8 @@ def check_options(speed: float, begin: float, prefix: str) -> None:
 @contextlib.contextmanager
 def opened_recording(file: Path) -> Iterator[RecordingReader]:
     """Opens a recording; warns if it is incomplete. One that is found damaged inside the context ends the command."""
-    from hyperbit.controller.recorder.reader import BadRecording, RecordingReader
+    from hyperbit.controller.recorder.reader import RecordingReader
+    from hyperbit.controller.recorder.repair import BadRecording
 
     try:
         past = RecordingReader(file)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import tempfile
 from pathlib import Path
 from random import Random
+from unittest import mock
 
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.host import files
@@ -20,7 +20,6 @@ class SavedPoses:
         self._random, self._judge = random, judge
         self._folder = tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None)
         self._path = Path(self._folder.name, "arm.poses.json")
-        files.log.setLevel(logging.CRITICAL + 1)
 
     def poses(self) -> Poses:
         judge = self._judge
@@ -28,7 +27,8 @@ class SavedPoses:
             self._path.write_bytes(self._random.choice([b"{", b"\xff", b'{"": {}}', b"[]"]))
             judge.poses = {}
         judge.begin()
-        return Poses(self._path, "home of the model")
+        with mock.patch.object(files.log, "disabled", True):
+            return Poses(self._path, "home of the model")
 
     def fill(self, full: bool) -> None:
         """Lets the disk be full, or no longer: another file cannot be begun."""
