@@ -20,12 +20,14 @@ from hyperbit.controller.commands.common import (
     CommandFailed,
     configuration,
     console,
+    errors,
     print_json,
     print_table,
     results_table,
     shown,
 )
 from hyperbit.controller.commands.goal_rows import Orientation, goal_rows
+from hyperbit.controller.host.files import is_at
 from hyperbit.controller.host.keeper import FileInUse, lock_file
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.manipulator.locked import transferred
@@ -220,11 +222,26 @@ def write_line(path: Path, file: IO[bytes], line: Mapping[str, Any]) -> None:
     """Writes a line without the file's buffer, which would be written again when it is closed."""
     data = json.dumps(line).encode() + b"\n"
     try:
+        if not is_at(path, file.fileno()):
+            errors.print(f"{path} was deleted or moved: it is written again", markup=False)
+            write_again(path, file)
         if os.write(file.fileno(), data) < len(data):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     except OSError as error:
         step = "free disk space; the same command then goes on where it ended"
         raise CommandFailed(f"{path} cannot be written: {error.strerror}", step) from None
+
+
+def write_again(path: Path, file: IO[bytes]) -> None:
+    """Copies an open file, which is no longer at its path, to this path; it then goes on there. Raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    number, done = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666), 0
+    try:
+        while data := os.pread(file.fileno(), 1 << 20, done):
+            done += os.write(number, data)
+        os.dup2(number, file.fileno(), inheritable=False)
+    finally:
+        os.close(number)
 
 
 def check_header(path: Path, line: bytes, header: Mapping[str, Any]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -169,8 +170,27 @@ def test_one_study_at_a_time_writes_a_file(plan, tmp_path):
 
 def test_a_full_disk_is_told_with_what_to_do():
     with Path("/dev/full").open("wb", buffering=0) as file, pytest.raises(CommandFailed) as caught:
-        write_line(Path("out.jsonl"), file, {})
-    assert "out.jsonl cannot be written: No space left on device\nNext: free disk space; the same" in str(caught.value)
+        write_line(Path("/dev/full"), file, {})
+    assert "/dev/full cannot be written: No space left on device\nNext: free disk space; the same" in str(caught.value)
+
+
+@pytest.mark.parametrize("what", ["deleted", "moved", "folder"])
+def test_a_file_that_is_gone_is_written_again(tmp_path, capsys, what):
+    path = tmp_path / "study" / "out.jsonl"
+    path.parent.mkdir()
+    with path.open("w+b") as file:
+        write_line(path, file, {"a": 1})
+        match what:
+            case "deleted":
+                path.unlink()
+            case "moved":
+                path.rename(tmp_path / "moved")
+            case "folder":
+                shutil.rmtree(path.parent)
+        write_line(path, file, {"a": 2})
+        write_line(path, file, {"a": 3})
+    assert path.read_text() == '{"a": 1}\n{"a": 2}\n{"a": 3}\n'
+    assert capsys.readouterr().err.count("was deleted or moved: it is written again") == 1
 
 
 def test_many_results_are_lines_as_they_come_and_few_are_a_table(plan, monkeypatch):
