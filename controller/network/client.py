@@ -91,9 +91,10 @@ class Client:
                 )
             late = False
             for reply in replies:
-                if reply.ok is not None and (answer := readable(reply.ok, key)) is not None:
+                if reply.ok is None:
+                    late = True  # the time is over, but the request was received
+                elif (answer := readable(reply.ok, key)) is not None:
                     return answer
-                late = True  # the time is over, or a stranger answered: the request was received
             if late:
                 break
         if self.alive():

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+import zenoh
 
 from hyperbit.controller.motion.decoding.goal import GoalMessage
 from hyperbit.controller.network.client import TRIES, Client, Unanswered, answer_timeout
@@ -34,6 +35,21 @@ def test_a_request_without_reply_is_asked_again(gateway: Gateway, deaf: int) -> 
     session = Deaf(gateway.other(), deaf)
     assert Client(session, ARM).request("stop", timeout=PATIENCE)["accepted"]
     assert session.gets == deaf + 1
+
+
+def test_a_request_that_only_a_stranger_has_answered_is_asked_again(gateway: Gateway) -> None:
+    """The daemon may not be reached yet, when a stranger answers."""
+    heard = list[zenoh.Query]()
+
+    def answer(query: zenoh.Query) -> None:
+        heard.append(query)
+        with query:
+            query.reply("hyperbit/b/stop", b"{}" if len(heard) == 1 else b'{"accepted": true}')
+
+    queryable = gateway.other().declare_queryable("hyperbit/b/stop", answer)
+    assert Client(gateway.other(), "b").request("stop", timeout=PATIENCE)["accepted"]
+    assert len(heard) == 2
+    queryable.undeclare()  # type: ignore[no-untyped-call]
 
 
 def test_the_last_try_is_in_a_new_session(gateway: Gateway) -> None:
