@@ -18,9 +18,9 @@ class ArmFault:
     """A fault of the arm: of its boards, buses and actuators, or of the executor.
 
     The master reports the codes "board-missing", "board-lost", "board-rebooted", "board-stopped", "wrong-device",
-    "wrong-length", "sdo-refused", "emergency", "bus-off", "bus-down", "bus-busy", "bus-passive", "foreign-master",
-    "not-verified", "duplicate-node" and "halted". The executor adds "stuck", "unexpected-motion", "pulse-overdue" and
-    others.
+    "wrong-length", "sdo-refused", "sdo-unanswered", "emergency", "bus-off", "bus-down", "bus-busy", "bus-passive",
+    "foreign-master", "not-verified", "duplicate-node" and "halted". The executor adds "stuck", "unexpected-motion",
+    "pulse-overdue" and others.
     """
 
     code: str

@@ -31,6 +31,7 @@ KINDS = {  # of faults, by code: what one board does, and what several do
     "board-error": ("reports an error", "report an error"),
     "wrong-device": ("lacks an object or value that hyperbit needs", "lack an object or value that hyperbit needs"),
     "bit-rate": ("has another bit rate", "have another bit rate"),
+    "sdo-unanswered": ("gives no answer for an object", "give no answer for an object"),
     "sdo-refused": ("refuses a value that hyperbit needs", "refuse a value that hyperbit needs"),
 }
 

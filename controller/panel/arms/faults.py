@@ -40,6 +40,7 @@ ADVICE = {
     "wrong-length": FaultAdvice("Another device uses this board's node id, or its mapping was changed.", After.RESET),
     "wrong-device": FaultAdvice("Change the board or the arm's file as the message says.", After.RESET),
     "sdo-refused": FaultAdvice("Change the board or the arm's file as the message says.", After.RESET),
+    "sdo-unanswered": FaultAdvice("The board lacks an object and does not say so: choose another board.", After.RESET),
     "board-error": FaultAdvice("Remove the cause of the board's error.", After.RESET),
     "not-switched": FaultAdvice("An output does not follow: check the board.", After.RESET),
     "pulse-overdue": FaultAdvice(
@@ -51,7 +52,7 @@ ADVICE = {
         After.RESET,
     ),
     "duplicate-node": FaultAdvice(
-        "Two boards have one node id: remove one, and give it another node id with hyperbit node-id.",
+        "Two devices have one node id: remove one, and give it another node id with hyperbit node-id.",
         After.RESET,
     ),
     "board-changed": FaultAdvice("Another program changed the board: stop it.", After.RESET),

@@ -53,7 +53,7 @@ def boot_board(
     for stops_left in reversed(range(_MOST_STOPS)):
         boot = Boot(index, board, outputs, timing, error_state, Inspection(board.layout), undo)
         try:
-            yield from undo.recorded(_steps(boot))
+            yield from objects.patient(undo.recorded(_steps(boot)), timing.boot_timeout)
             return
         except BoardError as error:
             if error.fault.code != "board-missing":  # node guarding continues, so that its outputs stay unchanged

@@ -17,7 +17,7 @@ from hyperbit.drivers.canopen.status import MasterStatus
 from hyperbit.drivers.canopen.wire import cia301, events
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, wire_bits
 from hyperbit.drivers.canopen.wire.link import Link
-from hyperbit.drivers.canopen.wiring import Timing, Wiring
+from hyperbit.drivers.canopen.wiring import MASTER, Timing, Wiring
 
 _OWN = {cia301.NMT: "NMT", cia301.SYNC: "SYNC", BEAT.id: "the master's heartbeat"}  # frames that only a master sends
 
@@ -290,9 +290,15 @@ class Master:
         """Takes a frame of another node; returns whether it was understood."""
         cob_id, data = frame
         rpdo = "an RPDO" if (bus, cob_id) in self._outputs.frames else None
+        if cob_id == BEAT.id and data != BEAT.data:
+            text = f"a device on {bus} has node id {MASTER}, which is hyperbit's own (frame {cob_id:03X}h)"
+            self._log.report(ArmFault("duplicate-node", bus, f"{text}: give it another one: hyperbit node-id"))
+            return True
         if (what := _OWN.get(cob_id, rpdo)) is not None:
-            text = f"another master sends on {bus} ({what}, frame {cob_id:03X}h): stop it, only one may switch"
-            self._log.report(ArmFault("foreign-master", bus, f"{text} the boards"))
+            text = f"another master sends on {bus} ({what}, frame {cob_id:03X}h)"
+            text += ": stop it, only one may switch the boards"
+            other = f"; or a device has node id {MASTER}: give it another one (hyperbit node-id)"
+            self._log.report(ArmFault("foreign-master", bus, text + other * (cob_id == BEAT.id)))
             if cob_id == cia301.NMT and len(data) == 2:
                 here = [board for board in self._boards if board.layout.bus == bus]
                 for each in (board for board in here if data[1] in (0, board.layout.node)):

@@ -7,14 +7,15 @@ from dataclasses import dataclass
 
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.sdo.client import TRIES, SdoOutcome, Transfer
-from hyperbit.drivers.canopen.sdo.procedure import BoardError, Step
+from hyperbit.drivers.canopen.sdo.procedure import Ask, BoardError, Procedure, Step, Wait
 
 # SDO abort codes (CiA 301, 7.2.4.3.17).
 NO_OBJECT, NO_SUB_INDEX, READ_ONLY = 0x0602_0000, 0x0609_0011, 0x0601_0002
-UNSUPPORTED, GENERAL, NO_DATA = 0x0601_0000, 0x0800_0000, 0x0800_0024
+UNSUPPORTED, GENERAL, NO_DATA, BUSY = 0x0601_0000, 0x0800_0000, 0x0800_0024, 0x0800_0022
 # Codes of stacks for a read of an absent object. CANopenNode answers NO_DATA to an empty history.
 ABSENT = frozenset({NO_OBJECT, NO_SUB_INDEX, UNSUPPORTED, GENERAL, NO_DATA})
 
+_BUSY_PAUSE = 0.2  # [s] between two attempts
 _ROUNDING = 10  # [ms] by which a board may round a time, at most half of it
 
 WORDS = {
@@ -43,7 +44,7 @@ WORDS = {
     GENERAL: "general error",
     0x0800_0020: "value cannot be stored",
     0x0800_0021: "value cannot be stored because of local control",
-    0x0800_0022: "value cannot be stored in the present state of the device",
+    BUSY: "value cannot be stored in the present state of the device",
     0x0800_0023: "no object dictionary present",
     NO_DATA: "no data available",
 }
@@ -93,26 +94,45 @@ def read(board: str, index: int, sub: int, size: int = 1, fresh: bool = False) -
 
     Raises BoardError if the board refuses, does not answer, or answers in another size.
     """
-    outcome = yield Transfer(index, sub, fresh=fresh)
+    outcome = yield from answered(board, Transfer(index, sub, fresh=fresh))
     return number(board, index, sub, size, outcome)
 
 
 def find(board: str, index: int, sub: int, size: int = 1) -> Generator[Step, SdoOutcome, int | None]:
     """Reads an unsigned value like `read`; returns None if the board has no such object. Raises its errors."""
-    outcome = yield Transfer(index, sub)
+    outcome = yield from answered(board, Transfer(index, sub))
     if outcome.abort in ABSENT:
         return None
     return number(board, index, sub, size, outcome)
 
 
+def answered(board: str, transfer: Transfer) -> Generator[Step, SdoOutcome, SdoOutcome]:
+    """Returns the outcome of a transfer. Raises BoardError after silence.
+
+    Some boards give no answer for an object that they lack: then 1000h, which each board has, is answered.
+    """
+    place = f"{transfer.index:04X}h sub {transfer.sub}"
+    control = not transfer.staged and transfer.index != 0x1000  # a staged write is asked once
+    for _ in range(1 + control):
+        outcome = yield transfer
+        if outcome.silence is None:
+            return outcome
+        control = control and (yield Transfer(0x1000, 0, tries=1, fresh=True)).silence is None
+        if not control:
+            break
+    if control:
+        text = f"board {board} answers to 1000h, but not to {place}: {outcome.silence}"
+        advice = "does it give no answer for an object that it lacks, where CiA 301 asks for an abort?"
+        raise BoardError(ArmFault("sdo-unanswered", board, f"{text}; {advice}"))
+    raise BoardError(ArmFault("board-missing", board, f"board {board} does not answer to {place}: {outcome.silence}"))
+
+
 def number(board: str, index: int, sub: int, size: int, outcome: SdoOutcome) -> int:
-    """Returns the value of a transfer. Raises BoardError after a refusal, silence or an answer of another size."""
+    """Returns the value of an answered transfer. Raises BoardError after a refusal or an answer of another size."""
     if outcome.abort is not None:
         text = f"board {board} refuses to read {index:04X}h sub {sub}: {abort_words(outcome.abort)}"
         raise BoardError(ArmFault("sdo-refused", board, text))
-    if outcome.data is None:
-        message = f"board {board} does not answer to {index:04X}h sub {sub}: {outcome.silence}"
-        raise BoardError(ArmFault("board-missing", board, message))
+    assert outcome.data is not None
     if len(outcome.data) not in (size, 4):  # some boards send four bytes for any number
         text = f"board {board} answers {len(outcome.data)} bytes to {index:04X}h sub {sub}; {size} are needed"
         raise BoardError(ArmFault("wrong-device", board, text))
@@ -122,10 +142,8 @@ def number(board: str, index: int, sub: int, size: int, outcome: SdoOutcome) -> 
 def write(board: str, need: Need, value: int, staged: bool = False) -> Generator[Step, SdoOutcome, int | None]:
     """Writes a value, a staged one once; returns None or the abort code. Raises BoardError after silence."""
     data = value.to_bytes(need.size, "little")
-    outcome = yield Transfer(need.index, need.sub, data, tries=1 if staged else TRIES, staged=staged)
-    if outcome.abort is None and outcome.data is None:
-        message = f"board {board} does not answer to {need.index:04X}h sub {need.sub}: {outcome.silence}"
-        raise BoardError(ArmFault("board-missing", board, message))
+    tries = 1 if staged else TRIES
+    outcome = yield from answered(board, Transfer(need.index, need.sub, data, tries=tries, staged=staged))
     return outcome.abort
 
 
@@ -160,3 +178,30 @@ def check(board: str, need: Need) -> Generator[Step, SdoOutcome, int | None]:
         text = f"board {board} has {need.words(present)} in {need.place}; {needed} is needed: {need.fixed}"
         raise BoardError(ArmFault("wrong-device", board, text))
     return present
+
+
+def patient(procedure: Procedure, timeout: float) -> Procedure:
+    """Repeats the transfers that a board refuses for its present state, 08000022h, for up to `timeout` [s] in all.
+
+    A write is repeated only while the object has the value that was read before it.
+    """
+    left, seen = timeout, dict[tuple[int, int], bytes | None]()
+    outcome: SdoOutcome | None = None
+    while True:
+        try:
+            step = next(procedure) if outcome is None else procedure.send(outcome)
+        except StopIteration:
+            return
+        outcome = yield step
+        transfer = step.transfer if isinstance(step, Ask) else step
+        if not isinstance(transfer, Transfer):
+            continue
+        place, reads = (transfer.index, transfer.sub), transfer.data is None
+        while outcome.abort == BUSY and left > 0:
+            left -= _BUSY_PAUSE
+            yield Wait(lambda: False, _BUSY_PAUSE)
+            if not reads and place in seen and (yield Transfer(*place, fresh=True)).data != seen[place]:
+                break
+            outcome = yield step
+        if reads:
+            seen[place] = outcome.data

@@ -19,6 +19,7 @@ from hyperbit.drivers.canopen.wire.cia301 import State
 from hyperbit.drivers.canopen.wiring import Timing, Wiring
 
 _BOARD_TIMEOUT = 1.0  # [s] for the first answer of a board
+_REFUSALS = (objects.READ_ONLY, objects.BUSY)  # of the present value: `run` could not write another one
 _MOST_CHANGES = 4  # changes that the answer lists
 
 
@@ -54,6 +55,12 @@ def check_bus(session: Session, wiring: Wiring, timing: Timing) -> list[CheckedB
 def _ask(
     session: Session, board: BoardLayout, timing: Timing, wiring: Wiring, texts: dict[Node, CheckedBoard]
 ) -> Procedure:
+    yield from objects.patient(_inspect(session, board, timing, wiring, texts), timing.boot_timeout)
+
+
+def _inspect(
+    session: Session, board: BoardLayout, timing: Timing, wiring: Wiring, texts: dict[Node, CheckedBoard]
+) -> Procedure:
     node = board.bus, board.node
     try:
         kind, _ = yield from find(board, _BOARD_TIMEOUT, None)
@@ -74,7 +81,7 @@ def _ask(
     changes = [f"{n.place} {n.words(it.values[n.index, n.sub])} -> {n.words(n.corrected(0))}" for n in unmet]
     for need in unmet:  # writing the present value changes nothing; a refusal shows a read-only object
         value = it.values[need.index, need.sub]
-        if (abort := (yield from objects.write(it.name, need, value))) == objects.READ_ONLY:
+        if (abort := (yield from objects.write(it.name, need, value))) in _REFUSALS:
             raise objects.refused(it.name, need, value, abort)
     for pdos in (it.rpdos, it.tpdos):
         yield from _try_mappings(it, pdos)
@@ -117,6 +124,6 @@ def _try_mapping(it: Inspection, wanted: Pdo, present: PdoState) -> Reading:
     if why is None:
         return
     need = Need(present.parameters + 0x200, 0, present.entries)
-    if (abort := (yield from objects.write(it.name, need, present.entries))) == objects.READ_ONLY:
+    if (abort := (yield from objects.write(it.name, need, present.entries))) in _REFUSALS:
         text = f"board {it.name}: {why}; it refuses another mapping: {objects.abort_words(abort)}"
         raise BoardError(ArmFault("sdo-refused", it.name, text))

@@ -28,6 +28,29 @@ def test_a_missing_board_is_named_and_the_others_come_up():
     world.up()
 
 
+@pytest.mark.parametrize(("busy", "codes"), [(2.0, []), (20.0, ["sdo-refused"])])
+@pytest.mark.parametrize("kinds", [(0x20,), (0x20, 0x40)])  # writes; and reads
+def test_a_board_that_refuses_for_its_present_state_is_asked_until_the_boot_timeout(busy, codes, kinds):
+    world = World(timing=Timing(boot_timeout=5.0))
+    board = world.boards.board("can0/5")
+    serve, until = board._serve, world.now + busy
+
+    def answer(data: bytes) -> None:
+        if data[0] & 0xE0 in kinds and world.now < until:
+            board.send_message(0x585, bytes([0x80]) + data[1:4] + (0x08000022).to_bytes(4, "little"))
+        else:
+            serve(data)
+
+    board._serve = answer
+    begun = world.now
+    world.run(0.05)
+    world.master.boot(world.now)
+    world.until(lambda: not world.master.booting, 30)
+    assert [fault.code for fault in world.master.boot_faults] == codes
+    assert world.now - begun > min(busy, 5.0)
+    assert all("08000022h" in fault.message for fault in world.master.boot_faults)
+
+
 def test_every_board_has_its_own_fault():
     world = World(many(4), Timing(boot_timeout=0.2))
     world.boards.board("can0/1").silent = True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hyperbit.drivers.canopen.faults import Busy
-from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.cia301 import Frame, State
 from hyperbit.drivers.canopen.wire.events import BusChanged, FrameEchoed, FrameIgnored
 from hyperbit.drivers.canopen.wiring import Timing
 from tests.drivers.canopen.world import World, two_boards, two_buses
@@ -110,12 +110,23 @@ def test_tick_reports_a_halt_as_well():
 @pytest.mark.parametrize("cob_id", [0x000, 0x080, 0x205, 0x77F])
 def test_another_master_is_reported(cob_id):
     world = World().up()
-    world.say(cob_id, b"\x00" * (cob_id != 0x080))
+    world.say(cob_id, b"\x05" * (cob_id != 0x080))
     world.run(0.01)
     assert world.codes() == ["foreign-master"]
     assert world.faults[0].source == "can0"
     assert f"{cob_id:03X}h" in world.faults[0].message
     assert world.master.status().buses[0].ignored == 0
+
+
+@pytest.mark.parametrize("state", [State.BOOT_UP, State.PRE_OPERATIONAL, State.STOPPED])
+def test_a_device_with_the_node_id_of_the_master_is_no_other_master(state):
+    world = World().up()
+    world.say(0x77F, bytes([state]))
+    world.run(0.01)
+    [fault] = world.faults
+    assert (fault.code, fault.source) == ("duplicate-node", "can0")
+    assert "has node id 127" in fault.message
+    assert "hyperbit node-id" in fault.message
 
 
 def test_another_program_on_the_same_computer_is_another_master():

@@ -95,6 +95,16 @@ def test_gives_up_after_three_attempts():
     assert 1.4 < line.now < 1.7
 
 
+def test_an_object_without_an_answer_on_a_board_that_answers_is_told_apart_from_a_missing_board():
+    line = Line(*[[], [], [], [TYPE]] * 2)
+    fault = line.run(objects.find("can0/5", 0x100C, 0))
+    assert fault.code == "sdo-unanswered"
+    assert "answers to 1000h, but not to 100Ch sub 0" in fault.message
+    line = Line([], [], [], [TYPE], [b"\x4f\x29\x10\x01\x02\0\0\0"])  # three frames were lost
+    assert line.run(objects.find("can0/5", 0x1029, 1)) == 2
+    assert Line().run(objects.find("can0/5", 0x1029, 1)).code == "board-missing"
+
+
 def test_gives_up_if_the_bus_takes_no_frame():
     line = Line(*[None] * 1000)
     fault = line.run(objects.read("can0/5", 0x1000, 0, 4))
@@ -203,7 +213,7 @@ def test_segments_without_end_are_given_up():
     line = Line([b"\x40\x00\x62\x01\0\0\0\0"], *segments)
     fault = line.run(objects.read("can0/5", 0x6200, 1))
     assert "longer than 8 segments" in fault.message
-    assert line.requests[-1] == "80 00 62 01 05 00 04 05"
+    assert "80 00 62 01 05 00 04 05" in line.requests
 
 
 def test_a_segment_that_does_not_come_is_aborted_and_all_is_asked_again():

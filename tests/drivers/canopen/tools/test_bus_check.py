@@ -73,7 +73,7 @@ def test_a_lost_answer_leaves_the_error_mode_of_a_running_arm():
     world.lost = lambda bus, frame: frame.id == 0x585 and frame.data[0] == 0x60
     world.stalled = True
     [told, _] = asked(world, on_loss="contract")
-    assert told.code == "board-missing"
+    assert told.code == "sdo-unanswered"
     objects = world.boards.board("can0/5").objects
     assert [objects.number(0x6206, 1), objects.number(0x1029, 1)] == [0xFE, 0]
 
