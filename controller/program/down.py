@@ -17,7 +17,10 @@ from hyperbit.controller.program.parts import (
 
 
 class Hello(Message, frozen=True, tag="hello"):
-    """The first message of a client. Only one `planner` can be connected; an `operator` can only stop the arm."""
+    """The first message of a client.
+
+    Only one `planner` can be connected. An `operator` can only stop the arm, and read errors of boards.
+    """
 
     version: int
     role: Literal["planner", "operator"]
@@ -127,6 +130,13 @@ class Lock(Message, frozen=True, tag="lock"):
     state: Annotated[int, Meta(ge=-1, le=1)]
 
 
+class ReadErrors(Message, frozen=True, tag="read-errors"):
+    """Read the errors of a board, in any mode. Answered by `BoardErrors`, after a boot that is under way."""
+
+    request: Number
+    board: Text  # e.g. "can0/5"
+
+
 class PlayFault(Message, frozen=True, tag="play-fault"):
     """Play a fault in simulated boards, such as "silence can0/5". Answered by `Answer`; refused if boards are real."""
 
@@ -157,6 +167,7 @@ Down = (
     | Stop
     | Reset
     | Lock
+    | ReadErrors
     | PlayFault
     | Acknowledge
     | Counts

@@ -57,6 +57,17 @@ class Answer(Message, frozen=True, tag="answer"):
         return self.refused is None
 
 
+class BoardErrors(Message, frozen=True, tag="board-errors"):
+    """What a board tells of its errors; or why it could not be asked, as a sentence."""
+
+    request: Number
+    why: Text = ""
+    register: Annotated[int, Meta(ge=0, le=0xFF)] = 0  # 1001h
+    # 1003h, the newest first: sub-index and value; None: the board has no 1003h
+    history: Annotated[tuple[tuple[Index, Number], ...], Meta(max_length=254)] | None = None
+    complete: bool = True  # whether the history has all errors since the last reset
+
+
 class Accepted(Message, frozen=True, tag="accepted"):
     """The program runs; `begin` is its zero of time [s]."""
 
@@ -184,6 +195,7 @@ Up = (
     Welcome
     | Goodbye
     | Answer
+    | BoardErrors
     | Accepted
     | Declined
     | Replaced

@@ -30,11 +30,13 @@ class ArmFault:
 
 def board_error(board: str, text: str) -> ArmFault:
     """Returns the fault of a board whose error register is set; `text`: what was read from it."""
-    advice = (
-        f"Remove its cause, then reset. An error without a cause ends with a restart of the board: switch its"
-        f" supply off and on, or stop the executor, and: hyperbit board ARM.yaml {board} reset"
-    )
-    return ArmFault("board-error", board, f"board {board} reports an error: {text}. {advice}")
+    return ArmFault("board-error", board, f"board {board} reports an error: {text}. {remedy(board)}")
+
+
+def remedy(board: str) -> str:
+    """Returns what to do about an error of a board."""
+    command = f"hyperbit board ARM.yaml {board} reset --communication"
+    return f"Remove its cause, then reset. If it has none, stop the executor, and: {command}"
 
 
 class FaultLog:

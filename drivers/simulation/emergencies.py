@@ -12,7 +12,8 @@ _GENERIC = 0x01
 _GROUPS = {2: 0x02, 3: 0x04, 4: 0x08, 8: 0x10}  # bits of 1001h by first digit: current, voltage, temperature, CAN
 _MAKER, _MAKER_BIT = 0xFF, 0x80
 _HISTORY = range(1, 9)  # entries of 1003h
-_ERROR_NUMBERS = {0x8130: 0x1B}  # CANopenNode's number of an error, in the highest byte of the entry
+_ERROR_NUMBERS = {0x8130: 0x1B, 0x8140: 0x12, 0x8100: 0x18}  # CANopenNode's, in the highest byte of an entry
+_OTHER_NUMBER = 0x30  # of an error of the maker
 
 
 class Emergencies:
@@ -47,9 +48,9 @@ class Emergencies:
         """Ends a standing error, and sends the emergency 0000h."""
         if code in self.present:
             del self.present[code]
-            self._set_register()
+            register = self._set_register()
             if self._logs_ends:
-                self._log(_ERROR_NUMBERS.get(code, 0) << 24)
+                self._log(_number(code) << 24 | register << 16)
             self._tell(0)
 
     def clear_history(self) -> None:
@@ -58,8 +59,8 @@ class Emergencies:
 
     def _note(self, code: int, register: int) -> None:
         self.present[code] = register
-        self._log((_ERROR_NUMBERS.get(code, 0) << 24 | code) if self._logs_ends else code)
-        self._set_register()
+        present = self._set_register()
+        self._log((_number(code) << 24 | present << 16 | code) if self._logs_ends else code)
 
     def _log(self, newest: int) -> None:
         if not self._objects.has(0x1003):
@@ -78,6 +79,10 @@ class Emergencies:
 
     def _tell(self, code: int) -> None:
         self._send(struct.pack("<HB5x", code, self._set_register()))
+
+
+def _number(code: int) -> int:
+    return _ERROR_NUMBERS.get(code) or _OTHER_NUMBER + code % 0x10
 
 
 def _register(code: int) -> int:

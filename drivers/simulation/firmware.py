@@ -223,7 +223,7 @@ class SimulatedBoard:
 
     def obey(self, order: int) -> None:
         if order == Command.START:
-            if self.variant.starts:
+            if self.variant.starts or not self.objects.number(0x1001):
                 self.enter(State.OPERATIONAL)
         elif order == Command.STOP:
             self.enter(State.STOPPED)

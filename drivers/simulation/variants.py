@@ -50,7 +50,7 @@ class Variant:
     logs_ends: bool = False  # the end of an error is an entry of 1003h too
     pads: bool = False  # TPDOs are filled up to 8 bytes
     errors: tuple[StandingError, ...] = ()
-    starts: bool = True  # obeys the NMT command that makes it operational
+    starts: bool = True  # obeys the NMT command that makes it operational also while 1001h is not 0
     answer_delay: float = 0.0  # of SDO answers [s]
     boot_time: float = 0.0  # from power-on, or an NMT reset of the node, to the boot-up message [s]
 
@@ -180,10 +180,12 @@ VARIANTS: Mapping[str, Variant] = {
     ),
     "no-error-behaviour": Variant("no 1029h: pre-operational in the error state", absent=frozenset({0x1029})),
     "canopennode": Variant(
-        "no 6206h, 6207h and 1029h: outputs go off in the error state, 1003h has the ends of errors (CANopenNode)",
+        "no 6206h, 6207h and 1029h: outputs go off in the error state, 1003h has the ends of errors, no start while"
+        " 1001h is not 0 (CANopenNode)",
         absent=_ERROR_MODES | {0x1029},
         error_state="off",
         logs_ends=True,
+        starts=False,
     ),
     "absent-unsupported": Variant("answers 06010000h for absent objects", no_object=0x0601_0000),
     "absent-general": Variant("answers 08000000h for absent objects", no_object=0x0800_0000),

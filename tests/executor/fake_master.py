@@ -51,6 +51,8 @@ class FakeMaster:
         self._faults: list[ArmFault] = []
         self._switched: list[tuple[int, float]] = []
         self._asked: set[int] = set()
+        self.asked_errors: list[int] = []
+        self.told_errors: list[Any] = []
 
     def receive_event(self, event: Any, now: float) -> None:
         self._break("receive_event")
@@ -104,6 +106,13 @@ class FakeMaster:
         if not end:
             line = self._size + self._wiring.ended.index(k)
         self.inputs = self.inputs & ~(1 << line) | level << line
+
+    def read_errors(self, board: int) -> None:
+        self.asked_errors.append(board)
+
+    def drain_errors(self) -> list[Any]:
+        told, self.told_errors = self.told_errors, []
+        return told
 
     def find_pause(self, now: float) -> ArmFault | None:
         pause, self.pause = self.pause, None

@@ -30,8 +30,7 @@ def session_without_executor(
         path: socket of the arm's executor, or its folder; None: the default.
         heartbeat: period of the master's heartbeat [s]; 0: not known.
     """
-    places = [] if arm is None else [socket_path(path, arm), *(one for one in found_sockets() if one.stem == arm)]
-    for own in dict.fromkeys(places):
+    for own in [] if arm is None else executor_places(arm, path):
         if answers(own, arm or ""):
             raise running(f"the executor of {arm} is running (it answers at {own})")
     try:
@@ -41,6 +40,11 @@ def session_without_executor(
         raise running(f"an executor is running (its heartbeat, node {MASTER}, is on {error})") from None
     except BusError as error:
         raise CommandFailed(str(error)) from None
+
+
+def executor_places(arm: str, path: Path | None) -> list[Path]:
+    """Returns where the socket of an arm's executor may be; `path`: it, or its folder; None: the default."""
+    return list(dict.fromkeys([socket_path(path, arm), *(one for one in found_sockets() if one.stem == arm)]))
 
 
 def running(who: str) -> CommandFailed:

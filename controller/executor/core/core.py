@@ -10,6 +10,7 @@ from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core import events
+from hyperbit.controller.executor.core.board_errors import BoardErrorRequests
 from hyperbit.controller.executor.core.ending import Ending
 from hyperbit.controller.executor.core.modes import CLEARING, Modes
 from hyperbit.controller.executor.core.reports import Reports
@@ -58,6 +59,7 @@ class Executor:
         clearing = CLEARING | {"stuck"} if arm.continue_on_stuck else CLEARING
         self.modes = modes = Modes(master, motion, locked, clearing, self.reports, self._act, simulation is not None)
         self.requests = ClientRequests(arm, motion, locked, modes, self._act, clients)
+        self.board_errors = BoardErrorRequests(arm.wiring, master, clients)
         self.ending = Ending(arm, motion, locked, modes, self._act)
         self._last_tick: float | None = None
         self._awake = 0.0  # awake time until the last tick [s]
@@ -170,6 +172,8 @@ class Executor:
             if fault.code == "stuck" and self._arm.continue_on_stuck:
                 self.locked.stuck |= 1 << actuator
             self.modes.fail(fault, now)
+        if self.board_errors.waiting:
+            self.board_errors.answer()
         if self.clients.fell_silent(self.motion.clock):
             self.lose_planner("the planner is silent")
         self._advance(now)
@@ -214,6 +218,8 @@ class Executor:
                 self._results.stored.pop(message.result, None)
             case program.Counts() if client == self.clients.planner:
                 self.journal.raise_to(message.counts)
+            case program.ReadErrors():
+                self.board_errors.receive(client, message)
             case _:
                 self.requests.receive_request(client, message, now)
                 self._advance(now)  # a stage that is due now does not wait for the tick

@@ -30,22 +30,22 @@ class Clients:
     def __init__(self, arm: str, timeout: float, send: Callable[[ClientId, program.Up], None]) -> None:
         self.planner: ClientId | None = None
         self.roles: dict[ClientId, Role] = {}  # role of each client that has sent Hello
-        self._arm, self._timeout, self._send = arm, timeout, send
+        self._arm, self._timeout, self.send = arm, timeout, send
         self._heard, self._silent = 0.0, False
 
     def to_planner(self, message: program.Up) -> None:
         if self.planner is not None:
-            self._send(self.planner, message)
+            self.send(self.planner, message)
 
     def to_all(self, message: program.Up) -> None:
         for client in self.roles:
-            self._send(client, message)
+            self.send(client, message)
 
     def greet(self, client: ClientId, hello: program.Hello, clock: float) -> bool:
         """Returns whether a client is accepted; a refused client gets a Goodbye with the reason."""
         reason = self._refusal(client, hello)
         if reason is not None:
-            self._send(client, program.Goodbye(reason))
+            self.send(client, program.Goodbye(reason))
             return False
         self.roles[client] = hello.role
         if hello.role == "planner":
@@ -117,7 +117,7 @@ class ClientRequests:
     def receive_request(self, client: ClientId, message: program.Down, now: float) -> None:
         """Carries out a request, and answers it now or as soon as nothing switches any more."""
         if self._clients.roles[client] == "operator" and not isinstance(message, program.Stop):
-            self._act(ToClient(client, program.Goodbye("an operator may only stop the arm")))
+            self._act(ToClient(client, program.Goodbye("an operator may only stop the arm and read errors")))
             return
         match message:
             case program.Program():

@@ -12,10 +12,10 @@ from hyperbit.drivers.canopen.boot import configuration, inspection, pdo_search
 from hyperbit.drivers.canopen.boot.inspection import Inspection
 from hyperbit.drivers.canopen.boot.pins import settle
 from hyperbit.drivers.canopen.boot.undo import Undo
-from hyperbit.drivers.canopen.faults import ArmFault, board_error
+from hyperbit.drivers.canopen.faults import ArmFault, board_error, remedy
 from hyperbit.drivers.canopen.layout import BoardLayout
 from hyperbit.drivers.canopen.pdo import INPUTS, Pdo, carries, subs_of
-from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.sdo import errors, objects
 from hyperbit.drivers.canopen.sdo.client import SDO_TIMEOUT, SdoOutcome, Transfer
 from hyperbit.drivers.canopen.sdo.objects import Need
 from hyperbit.drivers.canopen.sdo.procedure import Ask, BoardError, Order, Procedure, Step, Wait
@@ -236,8 +236,9 @@ def _await_operational(boot: Boot) -> Procedure:
         seen = "no heartbeat came" if board.state is None else f"it is {board.state.words}"
         text = f"board {board.name} did not become operational within {timeout:g} s; {seen}"
         if board.state is not State.STOPPED:
-            _, why, _ = yield from inspection.read_errors(boot.it, board)
-            text += f"; {why}" if why else ""
+            found = yield from errors.read(board.name, boot.it.quirk.ignored_errors)
+            if found.register:
+                text += f"; {found.words(board.emergency)}. {remedy(board.name)}"
         raise BoardError(ArmFault("board-stopped", board.name, text))
 
 
@@ -249,15 +250,16 @@ def _check_errors(boot: Boot) -> Procedure:
     """Refuses a board with an error in 1001h. An error that reports the loss of the master may end within 0.5 s."""
     board, it = boot.board, boot.it
     for _ in range(6):
-        register, text, lost = yield from inspection.read_errors(it, board)
+        register = yield from errors.read_register(board.name, it.quirk.ignored_errors)
         if not register:
             board.emergency, board.emergency_register = None, 0  # the end of this emergency was missed
             return
         yield Wait(lambda: False, _ERROR_TIMEOUT / 5)
-    if not lost:
-        raise BoardError(board_error(board.name, text))
-    it.warn(f"it keeps an error from before this boot: {text}")
-    it.standing_errors = register
+    found = yield from errors.read_history(register)
+    if not found.lost(board.emergency):
+        raise BoardError(board_error(board.name, found.words(board.emergency)))
+    it.warn(f"it keeps an error from before this boot: {found.words(board.emergency)}")
+    it.kept = found
 
 
 def _read_back(boot: Boot) -> Procedure:
@@ -275,13 +277,12 @@ def _read_back(boot: Boot) -> Procedure:
             ArmFault("board-stopped", board.name, f"board {board.name} left operational while booting; {seen}")
         )
     boot.outputs.adopt(boot.index, rpdos, values)
-    board.warnings, board.ignored_errors = tuple(it.warnings), it.quirk.ignored_errors | it.standing_errors
+    kept = it.kept.register if it.kept is not None else 0
+    board.warnings, board.ignored_errors = tuple(it.warnings), it.quirk.ignored_errors | kept
     board.expected = _expected(it, rpdos + tpdos)
     board.beats.period = 0.0 if it.guarded else it.values[0x1017, 0] / 1000
-    if it.standing_errors:  # a further error in these bits shows only as a new entry of the history
-        newest = yield Transfer(0x1003, 1, fresh=True)
-        empty = 0 if newest.abort == objects.NO_DATA else None
-        board.history = empty if newest.data is None else int.from_bytes(newest.data, "little")
+    if it.kept is not None and it.kept.history:  # a further error in these bits shows only as a new entry
+        board.history = it.kept.history[0][1]
     board.ready = True
 
 

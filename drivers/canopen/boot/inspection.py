@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable
 from dataclasses import dataclass, field
 
-from hyperbit.drivers.canopen.boards.board import Board
 from hyperbit.drivers.canopen.boot import configuration
 from hyperbit.drivers.canopen.boot.pdo_setup import PdoState
 from hyperbit.drivers.canopen.boot.quirks import NONE, VENDORS, Quirk, quirk_of
@@ -13,17 +12,14 @@ from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.layout import BoardLayout
 from hyperbit.drivers.canopen.pdo import INPUTS, OUTPUTS, Pdo, subs_of
 from hyperbit.drivers.canopen.sdo import objects
-from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
+from hyperbit.drivers.canopen.sdo.client import SdoOutcome
+from hyperbit.drivers.canopen.sdo.errors import Errors
 from hyperbit.drivers.canopen.sdo.objects import Need
 from hyperbit.drivers.canopen.sdo.procedure import BoardError, Step
-from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wiring import MASTER, ErrorState, Timing
 
 _PROFILE, _HAS_INPUTS, _HAS_OUTPUTS = 0x191, 1 << 16, 1 << 17  # of 1000h (CiA 401, 6.2)
 _NO_PROFILE = (0, 0xFFFF)  # low words of 1000h: no profile, or several devices (CiA 301, 7.5.2.1)
-_MASTER_LOST, _GENERIC, _COMMUNICATION = 0x8130, 0x01, 0x10  # error code, and the bits of 1001h that it sets
-_MOST_ENTRIES = 8  # entries of the error history to read
-_NO_HISTORY = objects.ABSENT - {objects.NO_SUB_INDEX, objects.NO_DATA}  # abort codes of a board without 1003h
 
 
 @dataclass
@@ -39,7 +35,7 @@ class Inspection:
     has_error_mode: bool = False  # the board has 6206h
     synchronous: bool = True  # the board has 1005h, so it receives SYNC
     refuses_sync: bool = False  # the board has refused a synchronous transmission type of its RPDOs
-    standing_errors: int = 0  # bits of 1001h that stay set without a present cause
+    kept: Errors | None = None  # errors that stay without a present cause
     guarded: bool = False  # supervised by node guarding in place of heartbeats
     rpdos: list[tuple[Pdo, PdoState]] = field(default_factory=list)  # wanted ones, each with its present state
     tpdos: list[tuple[Pdo, PdoState]] = field(default_factory=list)  # likewise
@@ -77,47 +73,6 @@ def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState |
         yield from _outputs(it, error_state)
     yield from _error_behaviour(it)
     yield from _read(it, configuration.interrupts(it.layout))
-
-
-def read_errors(it: Inspection, board: Board | None) -> Generator[Step, SdoOutcome, tuple[int, str, bool]]:
-    """Reads the error register and, if it is set, the newest entry of the error history.
-
-    Returns the bits of 1001h that are a fault; a sentence with 1001h, 1003h and the last emergency; and whether the
-    error is the loss of the master, which ends when its heartbeats return.
-    """
-    register = yield from objects.read(it.name, 0x1001, 0, fresh=True)
-    register &= ~it.quirk.ignored_errors
-    if not register:
-        return 0, "", False
-    text = f"error register 1001h sub 0 is {register:02X}h; 00h is needed"
-    reported = None if board is None else board.emergency
-    place, entry = yield from _newest_error(it)
-    if entry:
-        text += f"; 1003h sub {place} is {entry:08X}h, {cia301.emergency_words(entry & 0xFFFF)}"
-        cause: int | None = entry & 0xFFFF
-    elif place is None:
-        text += "; it has no 1003h (error history)"
-        cause = _MASTER_LOST if reported is None else reported  # the likely cause: the board has just lost a master
-    else:
-        cause = None
-    if reported is not None:
-        text += f"; it reported {cia301.emergency_words(reported)}"
-    return register, text, cause == _MASTER_LOST and register & ~_GENERIC == _COMMUNICATION
-
-
-def _newest_error(it: Inspection) -> Generator[Step, SdoOutcome, tuple[int | None, int]]:
-    """Returns sub-index and value of the newest error in 1003h.
-
-    The value is 0 if there is no error, or it cannot be read. The sub-index is None if the board has no 1003h. Some
-    stacks also enter the ends of errors, with the code 0000h.
-    """
-    for sub in range(1, 1 + _MOST_ENTRIES):
-        outcome = yield Transfer(0x1003, sub, fresh=True)
-        if outcome.abort in _NO_HISTORY:
-            return None, 0
-        if not outcome.data or int.from_bytes(outcome.data, "little") & 0xFFFF:
-            return sub, int.from_bytes(outcome.data or b"", "little")
-    return 0, 0
 
 
 def ensure(it: Inspection, needs: list[Need]) -> Reading:

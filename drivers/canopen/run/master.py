@@ -10,9 +10,11 @@ from hyperbit.drivers.canopen.boot.booting import Booting
 from hyperbit.drivers.canopen.faults import ArmFault, FaultLog
 from hyperbit.drivers.canopen.layout import lay_out, worst_case
 from hyperbit.drivers.canopen.pdo import union
+from hyperbit.drivers.canopen.run.error_reads import ErrorReads
 from hyperbit.drivers.canopen.run.heartbeat import BEAT, Heartbeat, LoopClock
 from hyperbit.drivers.canopen.run.switching import OutputSwitching
 from hyperbit.drivers.canopen.run.verification import InputWatch, Verification
+from hyperbit.drivers.canopen.sdo.errors import Errors
 from hyperbit.drivers.canopen.status import MasterStatus
 from hyperbit.drivers.canopen.wire import cia301, events
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, wire_bits
@@ -58,6 +60,7 @@ class Master:
         self._inputs = InputWatch(self._boards, links, sum(1 << line for line in wiring.interlock_lines))
         self._switching = OutputSwitching(self._boards, self.links, self._outputs, timing)
         self._verification = Verification(self._boards, self._outputs, self._switching.commits)
+        self._errors = ErrorReads(self._boards, self._switching.commits)
 
     def receive_event(self, event: events.Event, now: float) -> None:
         """Takes an event of a bus."""
@@ -106,6 +109,7 @@ class Master:
         if not self._booting.under_way:
             self._verification.tick(time)
             self._inputs.tick(time)
+            self._errors.tick(time)
 
     def find_pause(self, now: float) -> ArmFault | None:
         """Returns a fault if `tick` was not called for so long that the boards lost their master; each pause once.
@@ -155,6 +159,15 @@ class Master:
         """Asks a board for its inputs by SDO; see `questioning`."""
         if not self._booting.under_way:
             self._boards[board].question(self._clock.at(now))
+
+    def read_errors(self, board: int) -> None:
+        """Asks a board for its errors, after a boot that is under way; see `drain_errors`."""
+        self._errors.ask(board)
+
+    def drain_errors(self) -> list[tuple[int, Errors | ArmFault]]:
+        """Returns the errors that were read since the last call, by index of the board, or why they were not."""
+        done, self._errors.done = self._errors.done, []
+        return done
 
     def probe_silent(self, now: float) -> None:
         """Asks lost boards whether they are back; see `back`. Call about once a second."""

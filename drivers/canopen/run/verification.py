@@ -10,9 +10,9 @@ from hyperbit.drivers.canopen.faults import board_error
 from hyperbit.drivers.canopen.pdo import subs_of, union
 from hyperbit.drivers.canopen.run.commit import BusCommit
 from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
+from hyperbit.drivers.canopen.sdo.errors import read_history
 from hyperbit.drivers.canopen.sdo.objects import Need, abort_words
 from hyperbit.drivers.canopen.sdo.procedure import Step, Wait
-from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import wire_bits
 from hyperbit.drivers.canopen.wire.link import Link
 
@@ -122,7 +122,7 @@ class Verification:
         if self._pause[i]:
             self._next_read[i], self._pause[i] = now + self._pause[i], 0.0
         unread = board.layout.output_lines & self._outputs.unread
-        return bool(unread) and now >= self._next_read[i] and not board.runner.running
+        return bool(unread) and now >= self._next_read[i] and not board.runner.busy
 
     def _take_turn(self, bus: str, now: float) -> None:
         """Reads one object of one board: all boards in turn, and all objects of each in turn."""
@@ -220,13 +220,9 @@ class Verification:
             if not register:
                 return
             yield Wait(lambda: False, 4 * _PAUSE)
-        history = yield Transfer(0x1003, 1)
-        text = f"error register 1001h sub 0 is {register:02X}h"
-        if history.data:
-            code = int.from_bytes(history.data[:2], "little")
-            text += f"; 1003h sub 1 tells {cia301.emergency_words(code)}"
+        errors = yield from read_history(register)
         if board.ready:
-            board.report(board_error(board.name, text))
+            board.report(board_error(board.name, errors.words(board.emergency)))
 
 
 def _place(board: Board, sub: int) -> str:

@@ -62,20 +62,32 @@ class Runner:
         self._step: Step | None = None
         self._outgoing: Outgoing | None = None  # frame of an NMT command
         self._since = 0.0  # start of the step [s]
+        self._yields = False
 
     @property
     def running(self) -> bool:
         return self._procedure is not None
 
     @property
+    def busy(self) -> bool:
+        """Whether a procedure runs that does not yield to another one."""
+        return self.running and not self._yields
+
+    @property
     def answered_twice(self) -> bool:
         """Whether two boards answer; see `SdoClient.twice`."""
         return self._sdo.twice
 
-    def start(self, procedure: Procedure, ended: Callable[[ArmFault | None, float], None] | None, now: float) -> None:
+    def start(
+        self,
+        procedure: Procedure,
+        ended: Callable[[ArmFault | None, float], None] | None,
+        now: float,
+        yields: bool = False,
+    ) -> None:
         """Replaces the running procedure; `ended` takes the fault of the new one, or None, and the time."""
         self.cancel()
-        self._procedure, self._ended = procedure, ended
+        self._procedure, self._ended, self._yields = procedure, ended, yields
         self._resume(None, now)
 
     def cancel(self) -> None:

@@ -11,7 +11,7 @@ from hyperbit.drivers.canopen.boot.pdo_setup import PdoState, pdo_words, usable
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.layout import BoardLayout, lay_out
 from hyperbit.drivers.canopen.pdo import Pdo
-from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.sdo import errors, objects
 from hyperbit.drivers.canopen.sdo.objects import Need
 from hyperbit.drivers.canopen.sdo.procedure import BoardError, Procedure
 from hyperbit.drivers.canopen.tools.session import Node, Session, stopped
@@ -20,6 +20,7 @@ from hyperbit.drivers.canopen.wiring import Timing, Wiring
 
 _BOARD_TIMEOUT = 1.0  # [s] for the first answer of a board
 _REFUSALS = (objects.READ_ONLY, objects.BUSY)  # of the present value: `run` could not write another one
+_UNDECIDED = "only run can tell whether it can be booted"
 _MOST_CHANGES = 4  # changes that the answer lists
 
 
@@ -71,7 +72,7 @@ def _inspect(
         if (state := session.states.get(node)) is None:
             raise
         if state is State.STOPPED:
-            raise BoardError(ArmFault("board-stopped", board.name, stopped(board.name))) from None
+            raise BoardError(ArmFault("board-stopped", board.name, f"{stopped(board.name)}; {_UNDECIDED}")) from None
         text = f"board {board.name} is {state.words}, but does not answer to 1000h sub 0 within {_BOARD_TIMEOUT:g} s"
         raise BoardError(ArmFault("board-missing", board.name, text)) from None
     it = Inspection(board)
@@ -89,16 +90,21 @@ def _inspect(
         if not present.fits(wanted):
             index = present.parameters
             changes.append(f"{index:04X}h and {index + 0x200:04X}h ({pdo_words(index)})")
-    register, errors, lost = yield from inspection.read_errors(it, None)
-    if lost:
-        errors = f"error register {register:02X}h (it has lost its last master, as after the end of an executor)"
-    text = f"device type {kind:08X}h, {errors or 'error register 00h'}"
+    found = yield from errors.read(it.name, it.quirk.ignored_errors)
+    told = found.words() if found.register else "error register 00h"
+    if found.lost(None):
+        told = f"error register {found.register:02X}h (it has lost its last master, as after the end of an executor)"
+    elif found.open:
+        told += f"; it has lost its last master, so {_UNDECIDED}"
+    text = f"device type {kind:08X}h, {told}"
     if changes:
         text += f"; to be written: {'; '.join(changes[:_MOST_CHANGES])}"
         text += f"; and {len(changes) - _MOST_CHANGES} more" * (len(changes) > _MOST_CHANGES)
     text = "; ".join([text, *it.warnings])
-    wrong = register and not lost
-    texts[node] = CheckedBoard(board.name, text if wrong else f"can be booted: {text}", "board-error" if wrong else "")
+    if found.register and not found.lost(None) and not found.open:
+        texts[node] = CheckedBoard(board.name, text, "board-error")
+    else:
+        texts[node] = CheckedBoard(board.name, f"{'may' if found.open else 'can'} be booted: {text}")
 
 
 def _try_mappings(it: Inspection, pdos: list[tuple[Pdo, PdoState]]) -> Reading:

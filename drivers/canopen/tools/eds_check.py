@@ -8,7 +8,7 @@ from hyperbit.drivers.canopen.boot import configuration, inspection, pdo_search
 from hyperbit.drivers.canopen.boot.inspection import Inspection
 from hyperbit.drivers.canopen.layout import BoardLayout
 from hyperbit.drivers.canopen.pdo import INPUTS, subs_of
-from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.sdo import errors, objects
 from hyperbit.drivers.canopen.sdo.client import SdoOutcome
 from hyperbit.drivers.canopen.sdo.procedure import BoardError, Procedure
 from hyperbit.drivers.canopen.tools.eds import Eds, is_mapping
@@ -73,7 +73,7 @@ def _boot(board: BoardLayout, timing: Timing, error_state: ErrorState | None) ->
     for pdos in (it.rpdos, it.tpdos):
         yield from pdo_search.set_up_pdos(it, pdos)
     yield from inspection.ensure(it, it.error_mode)
-    yield from inspection.read_errors(it, None)
+    yield from errors.read(board.name)
     for index, bits in ((board.settings.object, board.output_bits), (INPUTS, board.input_bits)):
         for sub in subs_of(bits):
             yield from objects.read(board.name, index, sub)

@@ -134,7 +134,7 @@ class Session:
             yield Wait(lambda: node in self.states, _ANSWER)
             poll.cancelled = True
 
-    def reset(self, node: Node, timeout: float) -> float | None:
+    def reset(self, node: Node, timeout: float, command: Command = Command.RESET_NODE) -> float | None:
         """Resets a node by NMT; returns the time to its boot-up message [s], or None (CiA 301, 7.2.8.3.1).
 
         Raises MasterHeard, and BusError if the bus does not take the command.
@@ -143,7 +143,7 @@ class Session:
         began = self.clock()
 
         def steps() -> Procedure:
-            yield Order(Command.RESET_NODE)
+            yield Order(command)
             yield Wait(lambda: self.states.get(node) is State.BOOT_UP, timeout)
 
         self.run({node: steps()})

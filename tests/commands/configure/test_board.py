@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import can
 import pytest
 import yaml
 
-from hyperbit.controller.program import VERSION, Goodbye, Welcome, encode
+from hyperbit.controller.program import VERSION, BoardErrors, Goodbye, Up, Welcome, encode
 from tests.commands.conftest import ARM
 
 
@@ -28,6 +30,66 @@ def arm(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
 @pytest.fixture
 def board(hyperbit, arm, tmp_path):
     return lambda *words: hyperbit("board", str(arm), *words, "--socket", str(tmp_path))
+
+
+@contextlib.contextmanager
+def executor(folder: Path, *answers: Up) -> Iterator[None]:
+    """An executor that answers the first client."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as server:
+        server.bind(str(folder / "planar16.sock"))
+        server.listen()
+
+        def serve() -> None:
+            client, _ = server.accept()
+            with client:
+                client.recv(65_536)
+                for answer in answers:
+                    client.send(encode(answer))
+                while client.recv(65_536):
+                    pass
+
+        threading.Thread(target=serve, daemon=True).start()
+        yield
+
+
+WELCOME = Welcome(VERSION, "planar16", "", 1, (), 0)
+
+
+def test_errors_are_read_by_the_executor_that_runs(board, tmp_path):
+    told = BoardErrors(1, "", 0x01, ((1, 0x1B00_0000), (2, 0x1B11_8130), (3, 0x3001_5000)))
+    with executor(tmp_path, WELCOME, told):
+        code, out, err = board("can0/5", "errors")
+    assert (code, err) == (0, "")
+    assert out.splitlines() == [
+        "1001h = 01h",
+        "1003h: 3 entries",
+        "1B000000h no error (0000h)",
+        "1B118130h heartbeat of the master lost (8130h), has ended",
+        "30015000h device hardware (5000h)",
+    ]
+
+
+@pytest.mark.parametrize("answer", [BoardErrors(1, "board can0/5 is stopped"), Goodbye("board can0/5 is stopped")])
+def test_an_executor_that_cannot_read_errors_says_why(board, tmp_path, answer):
+    with executor(tmp_path, WELCOME, answer):
+        code, _, err = board("can0/5", "errors")
+    assert (code, "board can0/5 is stopped" in err) == (1, True)
+
+
+def test_a_reset_of_communication_clears_the_history_and_keeps_other_objects(
+    board, boards, monkeypatch, brief_listening
+):
+    boards.fault("error", "can0/5", "2320")
+    with boards.board("can0/5") as it:
+        it.objects.set_number(0x1017, 0, 777)
+        it.objects.set_number(0x6207, 1, 0x01)
+    monkeypatch.setattr("typer.confirm", lambda question, err: "may switch the outputs" in question and False)
+    assert board("can0/5", "reset", "--communication")[0] == 1
+    code, out, _ = board("can0/5", "reset", "--communication", "--yes")
+    assert (code, out.startswith("board can0/5 has booted after ")) == (0, True)
+    with boards.board("can0/5") as it:
+        assert (it.objects.number(0x1017), it.objects.number(0x6207, 1)) == (0, 0x01)
+    assert board("can0/5", "errors")[1].splitlines() == ["1001h = 00h", "1003h: empty"]
 
 
 def test_errors_are_read(board, boards, brief_listening):
@@ -74,21 +136,10 @@ def test_a_missing_file_is_unusable_input(board, words, sentence):
     assert (code, sentence in err) == (2, True), err
 
 
-@pytest.mark.parametrize("action", ["errors", "reset"])
-@pytest.mark.parametrize("answer", [Welcome(VERSION, "planar16", "", 1, (), 0), Goodbye("of another version")])
-def test_the_command_refuses_while_the_executor_runs(board, arm, tmp_path, action, answer):
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as server:
-        server.bind(str(tmp_path / "planar16.sock"))
-        server.listen()
-
-        def serve() -> None:
-            client, _ = server.accept()
-            with client:
-                client.recv(65_536)
-                client.send(encode(answer))
-
-        threading.Thread(target=serve, daemon=True).start()
-        code, _, err = board("can0/5", action, "--yes")
+@pytest.mark.parametrize("answer", [WELCOME, Goodbye("of another version")])
+def test_a_reset_is_refused_while_the_executor_runs(board, tmp_path, answer):
+    with executor(tmp_path, answer):
+        code, _, err = board("can0/5", "reset", "--yes")
     assert (code, "the executor of planar16 is running" in err) == (1, True)
 
 

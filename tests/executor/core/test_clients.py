@@ -12,6 +12,7 @@ from hyperbit.controller.program import (
     Acknowledge,
     Alive,
     Answer,
+    BoardErrors,
     Counted,
     Counts,
     Declined,
@@ -19,6 +20,7 @@ from hyperbit.controller.program import (
     Goodbye,
     Hello,
     PlayableFaults,
+    ReadErrors,
     Reset,
     Snapshot,
     Stop,
@@ -26,6 +28,7 @@ from hyperbit.controller.program import (
     encode,
 )
 from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.sdo.errors import Errors
 from tests.executor.fake_master import FakeMaster
 from tests.executor.rig import OPERATOR, OTHER, SIZE, Rig, small_arm
 
@@ -57,7 +60,7 @@ def test_an_operator_may_halt_and_nothing_else(rig: Rig) -> None:
     assert rig.last(Answer, OPERATOR) == Answer(5, "stopped; the arm holds until reset")
     assert (rig.mode, rig.results) == ("stopped", [(1, "aborted")])
     rig.send(Reset(6, rig.epoch), OPERATOR)
-    assert rig.last(Goodbye, OPERATOR).reason == "an operator may only stop the arm"
+    assert rig.last(Goodbye, OPERATOR).reason == "an operator may only stop the arm and read errors"
     assert rig.mode == "stopped"
 
 
@@ -178,3 +181,22 @@ def test_systemd_gets_the_state_and_only_good_ticks_feed_the_watchdog(rig: Rig) 
     rig.notified.clear()
     rig.go(1)
     assert "WATCHDOG=1" not in rig.notified
+
+
+def test_an_operator_reads_the_errors_of_a_board(rig: Rig) -> None:
+    rig.connect(OPERATOR, "operator")
+    rig.send(ReadErrors(3, "can0/99"), OPERATOR)
+    assert "is no board of this arm" in rig.last(BoardErrors, OPERATOR).why
+    rig.send(ReadErrors(4, "can0/1"), OPERATOR)
+    rig.send(ReadErrors(5, "can0/1"))
+    rig.go()
+    assert rig.master.asked_errors == [0, 0]
+    rig.master.told_errors = [(0, Errors(0x01, ((1, 0x5000),)))]
+    rig.go()
+    assert rig.last(BoardErrors, OPERATOR) == BoardErrors(4, "", 0x01, ((1, 0x5000),))
+    assert rig.last(BoardErrors).request == 5
+    rig.send(ReadErrors(6, "can0/1"), OPERATOR)
+    rig.gone(OPERATOR)
+    rig.master.told_errors = [(0, ArmFault("board-missing", "can0/1", "it does not answer"))]
+    rig.go()
+    assert len(rig.of(BoardErrors, OPERATOR)) == 2

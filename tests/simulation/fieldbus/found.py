@@ -36,7 +36,7 @@ def found_of(board: Any, judged: JudgedBoard, explained: bool = True) -> Found:
         deaf=objects.variant.deaf,
         refused={place: WORDS[code] for place, code in objects.refused.items()},
         synchronous=objects.variant.synchronous,
-        starts=objects.variant.starts,
+        starts=variant.starts or not any(code != 0x8130 or variant.keeps_loss for code in errors),
         errors=errors,
         keeps_loss=variant.keeps_loss,
         tells=bool(heartbeats or guards),

@@ -92,7 +92,8 @@ def test_a_stopped_board_is_said_to_be_stopped(variant):
     assert (five.code, nine.code) == ("board-stopped", "")
     assert five.text == (
         "board can0/5 is stopped, as after the end of an executor with on_loss: contract; it answers no SDO: start the"
-        " executor, or reset the board: hyperbit board ARM.yaml can0/5 reset"
+        " executor, or reset the board: hyperbit board ARM.yaml can0/5 reset;"
+        " only run can tell whether it can be booted"
     )
 
 

@@ -20,6 +20,7 @@ NO_OUTPUT_BIT = "without the bit of digital outputs"
 NO_INPUT_BIT = "without the bit of digital inputs"
 NO_WAIT = "refuses to wait for SYNC"
 GENERIC, COMMUNICATION = 0x01, 0x10  # bits of 1001h
+MOST_ENTRIES = 8  # of 1003h
 KEPT = "keeps an error from before"
 DOES = {"off": "its outputs go off", "hold": "its outputs hold", "device": "its outputs do what the device is set to"}
 NO_MODE, NO_MAKERS_MODE = "has no 6206h (error mode)", "has no error mode for its maker's object"
@@ -182,17 +183,20 @@ def _behaviour(board: JudgedBoard, found: Found, refusals: list[Refusal], limits
 
 def _errors(board: JudgedBoard, found: Found, refusals: list[Refusal], limits: set[str]) -> None:
     lasting = [code for code in found.errors if code != 0x8130]
+    history = [found.byte(0x1003, sub) & 0xFFFF for sub in range(1, 1 + found.byte(0x1003, 0))]
     if not found.starts:
         refusals.append(Refusal("board-stopped", ("did not become operational", "pre-operational", "1001h sub 0 is")))
     if lasting and not found.explained and not found.has(0x1003) and found.byte(0x1001, 0) & ~GENERIC == COMMUNICATION:
         limits.add(KEPT)  # nothing tells a new master another cause than the loss of the last one
     elif lasting:
-        entries = [found.byte(0x1003, sub) for sub in range(1, 9)]
-        newest = next((entry for entry in entries if entry & 0xFFFF), 0)
-        words = ("1001h sub 0 is", "00h is needed", "1003h sub", f"{newest:08X}h", "Remove its cause")
+        named = (f"({code:04X}h)" for code in lasting if code in history)
+        words = ("1001h sub 0 is", "00h is needed", "1003h", *named, "Remove its cause")
         refusals.append(Refusal("board-error", words))
     elif 0x8130 in found.errors and found.keeps_loss:
-        limits.add(KEPT)
+        if set(history) - {0, 0x8130} or len(history) == MOST_ENTRIES:  # or one was there before the others
+            refusals.append(Refusal("board-error", ("1001h sub 0 is", "1003h", "Remove its cause")))
+        else:
+            limits.add(KEPT)
 
 
 def _pdos(board: JudgedBoard, found: Found, refusals: list[Refusal], limits: set[str]) -> None:
