@@ -63,8 +63,8 @@ class BoardErrors(Message, frozen=True, tag="board-errors"):
     request: Number
     why: Text = ""
     register: Annotated[int, Meta(ge=0, le=0xFF)] = 0  # 1001h
-    # 1003h, the newest first: sub-index and value; None: the board has no 1003h
-    history: Annotated[tuple[tuple[Index, Number], ...], Meta(max_length=254)] | None = None
+    # entries of 1003h, the newest first; None: the board has no 1003h
+    history: Annotated[tuple[Number, ...], Meta(max_length=254)] | None = None
     complete: bool = True  # whether the history has all errors since the last reset
 
 

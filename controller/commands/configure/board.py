@@ -125,15 +125,14 @@ def errors_by_bus(session: Session, node: Node) -> Errors:
 def show_errors(found: Errors, name: str, as_json: bool) -> None:
     standing, history = {sub for sub, _ in found.standing}, found.history or ()
     if as_json:
-        entries = [value for _, value in history]
-        print_json({"board": name, "register": found.register, "history": entries, "standing": sorted(standing)})
+        print_json({"board": name, "register": found.register, "history": history, "standing": sorted(standing)})
         return
     typer.echo(f"1001h = {found.register:02X}h")
     if found.history is None:
         typer.echo("no 1003h (error history)")
     else:
         typer.echo(f"1003h: {len(history)} entries" if history else "1003h: empty")
-    for sub, value in history:
+    for sub, value in enumerate(history, 1):
         ended = "" if sub in standing or not value & 0xFF00 else ", has ended"
         typer.echo(f"{value:08X}h {cia301.emergency_words(value & 0xFFFF)}{ended}")
 

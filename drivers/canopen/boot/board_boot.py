@@ -282,7 +282,7 @@ def _read_back(boot: Boot) -> Procedure:
     board.expected = _expected(it, rpdos + tpdos)
     board.beats.period = 0.0 if it.guarded else it.values[0x1017, 0] / 1000
     if it.kept is not None and it.kept.history:  # a further error in these bits shows only as a new entry
-        board.history = it.kept.history[0][1]
+        board.history = it.kept.history[0]
     board.ready = True
 
 

@@ -35,26 +35,25 @@ class Errors(NamedTuple):
 
     Attributes:
         register: bits of 1001h that are a fault.
-        history: entries of 1003h as (sub-index, value), the newest first; None: the board has no 1003h.
+        history: entries of 1003h from sub-index 1, the newest, on; None: the board has no 1003h.
         complete: whether the history has all errors since the last reset: no entry is unread, and none was pushed out.
     """
 
     register: int
-    history: tuple[tuple[int, int], ...] | None = ()
+    history: tuple[int, ...] | None = ()
     complete: bool = True
 
     @property
     def ends_logged(self) -> bool:
         """Whether the history has the ends of errors, too."""
-        entries = [value for _, value in self.history or () if value]
-        return any(not value & 0xFF00 or value >> 24 == _HEARTBEAT_LOST for value in entries)
+        return any((value and not value & 0xFF00) or value >> 24 == _HEARTBEAT_LOST for value in self.history or ())
 
     @property
     def standing(self) -> tuple[tuple[int, int], ...]:
-        """The entries without an end, the newest first."""
+        """The entries without an end, as (sub-index, value), the newest first."""
         started: dict[int, list[tuple[int, int]]] = {}  # by the number of the error
         ended: dict[int, int] = {}
-        for sub, value in reversed(self.history or ()):
+        for sub, value in reversed(tuple(enumerate(self.history or (), 1))):
             number = value >> 24 or value >> 16
             if value & 0xFF00:
                 started.setdefault(number, []).append((sub, value))
@@ -134,10 +133,9 @@ def read_history(register: int) -> Generator[Step, SdoOutcome, Errors]:
     history, complete, count = [], True, outcome.data[0]
     for sub in range(1, 1 + count):
         outcome = yield Transfer(0x1003, sub, fresh=True)
-        if outcome.data:
-            history.append((sub, int.from_bytes(outcome.data[:4], "little")))
+        history.append(int.from_bytes((outcome.data or b"")[:4], "little"))
         complete &= outcome.data is not None or outcome.abort in objects.ABSENT
-    if history and history[-1][1]:
+    if history and history[-1]:
         outcome = yield Transfer(0x1003, 1 + count, fresh=True)  # without a free entry, older ones may be gone
         complete &= outcome.abort != objects.NO_SUB_INDEX
     return Errors(register, tuple(history), complete)

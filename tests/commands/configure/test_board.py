@@ -56,7 +56,7 @@ WELCOME = Welcome(VERSION, "planar16", "", 1, (), 0)
 
 
 def test_errors_are_read_by_the_executor_that_runs(board, tmp_path):
-    told = BoardErrors(1, "", 0x01, ((1, 0x1B00_0000), (2, 0x1B11_8130), (3, 0x3001_5000)))
+    told = BoardErrors(1, "", 0x01, (0x1B00_0000, 0x1B11_8130, 0x3001_5000))
     with executor(tmp_path, WELCOME, told):
         code, out, err = board("can0/5", "errors")
     assert (code, err) == (0, "")

@@ -191,9 +191,9 @@ def test_an_operator_reads_the_errors_of_a_board(rig: Rig) -> None:
     rig.send(ReadErrors(5, "can0/1"))
     rig.go()
     assert rig.master.asked_errors == [0, 0]
-    rig.master.told_errors = [(0, Errors(0x01, ((1, 0x5000),)))]
+    rig.master.told_errors = [(0, Errors(0x01, (0x5000,)))]
     rig.go()
-    assert rig.last(BoardErrors, OPERATOR) == BoardErrors(4, "", 0x01, ((1, 0x5000),))
+    assert rig.last(BoardErrors, OPERATOR) == BoardErrors(4, "", 0x01, (0x5000,))
     assert rig.last(BoardErrors).request == 5
     rig.send(ReadErrors(6, "can0/1"), OPERATOR)
     rig.gone(OPERATOR)

@@ -10,8 +10,10 @@ from hyperbit.controller.program import (
     TICK,
     Accepted,
     Begun,
+    BoardErrors,
     Diagnostics,
     Ended,
+    ReadErrors,
     Reset,
     Settled,
     Snapshot,
@@ -136,3 +138,18 @@ def test_a_restarted_executor_adopts_the_present_states(sensed: int) -> None:
     assert world.mode == "ready", world.logged
     assert unpack(world.last(Snapshot).outputs) == A
     assert world.syncs == []
+
+
+def test_errors_of_a_board_are_read_in_motion_and_in_fault_and_add_none(world: World) -> None:
+    world.run(1, A, B, A)
+    world.send(ReadErrors(7, "can0/1"))
+    world.go(1.0)
+    assert world.last(BoardErrors) == BoardErrors(7, "", 0, ())
+    assert world.last(Ended).status == "done"
+    world.fault("error", "can0/1", 5000)
+    world.go(0.5)
+    assert world.mode == "fault"
+    for request in (8, 9):
+        world.send(ReadErrors(request, "can0/1"))
+        world.go(0.5)
+        assert world.last(BoardErrors) == BoardErrors(request, "", 0x01, (0x5000,))

@@ -27,10 +27,10 @@ def test_errors_are_read_while_the_arm_is_ready_and_in_fault():
     assert read(world) == Errors(0, ())
     world.fault("error", "can0/5", 5000)
     world.run(0.1)
-    assert read(world) == Errors(0x01, ((1, 0x5000),))
+    assert read(world) == Errors(0x01, (0x5000,))
     world.boot()
     assert world.master.boot_faults
-    assert read(world) == Errors(0x01, ((1, 0x5000),))
+    assert read(world) == Errors(0x01, (0x5000,))
 
 
 def test_errors_of_a_board_that_boots_are_read_after_the_boot():

@@ -13,7 +13,7 @@ NODE_BUS_OFF, NODE_BUS_OFF_ENDED, NODE_PASSIVE = 0x1210_8140, 0x1210_0000, 0x060
 
 def errors(register: int, *entries: int, complete: bool = True) -> Errors:
     """`entries`: the newest first."""
-    return Errors(register, tuple(enumerate(entries, 1)), complete)
+    return Errors(register, entries, complete)
 
 
 @pytest.mark.parametrize(
