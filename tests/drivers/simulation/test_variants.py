@@ -146,8 +146,8 @@ def test_with_a_sync_period_the_end_of_syncs_is_an_error():
     ("name", "lost", "over"),
     [
         ("standard", ["30 81 00 00"], ["30 81 00 00"]),
-        ("logged-ends", ["30 81 11 1b"], ["00 00 00 1b", "30 81 00 1b"]),
-        ("canopennode", ["30 81 11 1b"], ["00 00 00 1b", "30 81 00 1b"]),
+        ("logged-ends", ["30 81 11 1b"], ["00 00 00 1b", "30 81 11 1b"]),
+        ("canopennode", ["30 81 11 1b"], ["00 00 00 1b", "30 81 11 1b"]),
     ],
 )
 def test_the_history_after_the_loss_of_the_master_and_its_return(name, lost, over):
