@@ -98,14 +98,23 @@ class Solver:
         arm: the arm; its own obstacles are respected as well.
         obstacles: further obstacles in the world; no module may touch them.
         weights: cost of a switch of each actuator, positive, shape (A,); None: the arm's weights.
+        list_whole: whether all configurations are tried of an arm that has few, at most 16,384. Each answer is proven
+            then. False: the searches for arms with more are used.
 
     Raises:
         ObstacleError: an obstacle is invalid, or has another dimension than the arm.
         GoalError: the weights are not A positive numbers.
     """
 
-    def __init__(self, arm: Arm, *, obstacles: Sequence[Obstacle] = (), weights: ArrayLike | None = None) -> None:
-        self.arm = arm
+    def __init__(
+        self,
+        arm: Arm,
+        *,
+        obstacles: Sequence[Obstacle] = (),
+        weights: ArrayLike | None = None,
+        list_whole: bool = True,
+    ) -> None:
+        self.arm, self.list_whole = arm, list_whole
         self.obstacles = tuple(obstacles)
         self._regions = build_obstacles(obstacles, arm.dimension)
         self._weights = arm.weights if weights is None else np.array(weights, dtype=float)
@@ -265,7 +274,8 @@ class Solver:
     def _search(self) -> search.Solver:
         """The search, built at first use; its densities are computed or read from the cache."""
         arm, reduced = self.arm._arm, self.arm._reduced
-        solver = search.Solver(reduced, self.arm._densities, self._weights, arm.clearance(reduced, self._regions))
+        clearance, whole = arm.clearance(reduced, self._regions), self.list_whole
+        solver = search.Solver(reduced, self.arm._densities, self._weights, clearance, list_whole=whole)
         solver.prepare()
         return solver
 

@@ -8,6 +8,13 @@ from hyperbit.controller.search.clock import EFFORT, WALL, Clock, WorkClock
 TIMEOUT = 0.05  # [s] for one search
 UNFOUND = 1.0  # [s] for a goal that is not reached in the first time, without a deadline or if others wait
 
+# Configurations of an arm that is listed whole, at most. The list takes about 20 ms, once; a goal below 1 ms, and up to
+# 20 ms if nearly all configurations collide.
+LISTED_WHOLE = 1 << 14
+# Time [s] for each point of a trajectory, each configuration and each state of a module. If the sum fits into the time
+# of a search, all sequences of an arm that is listed whole are tried.
+TRIED = 8e-9
+
 
 class SearchTime(NamedTuple):
     """How long one minimum-switch search may take, from its start [s]. A proof ends it sooner."""

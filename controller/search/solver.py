@@ -16,11 +16,12 @@ from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.obstacles.scene import scene_of
 from hyperbit.controller.search.clock import EFFORT, START, WALL
 from hyperbit.controller.search.descent.paths import Paths
+from hyperbit.controller.search.enumeration import Enumeration
 from hyperbit.controller.search.lists.two_list import TwoList
 from hyperbit.controller.search.method import MINIMUM_SWITCH, Method, cost_of_switches, switch_costs
 from hyperbit.controller.search.minimum_switch import MinimumSwitch
 from hyperbit.controller.search.neighbours.chain import Chain, chain_of
-from hyperbit.controller.search.search_time import TIMEOUT, SearchTime, search_time
+from hyperbit.controller.search.search_time import LISTED_WHOLE, TIMEOUT, SearchTime, search_time
 from hyperbit.controller.search.solution import EPSILON, Incumbent, Solution
 from hyperbit.controller.search.target import Problem, SearchTarget, distance
 from hyperbit.controller.workspace.densities import Densities
@@ -49,13 +50,16 @@ class Solver:
         densities: Densities,
         weights: ArrayLike | None = None,
         clearance: BodyClearance | None = None,
+        *,
+        list_whole: bool = True,
     ) -> None:
         """Builds the tables.
 
         `weights` (A,) are the positive costs of a switch of each actuator; None: all 1. Answers are clear of the
-        obstacles of `clearance` even if the previous configuration is not.
+        obstacles of `clearance` even if the previous configuration is not. With `list_whole`, all configurations of an
+        arm with few are tried.
         """
-        self.manipulator = manipulator
+        self.manipulator, self._list_whole = manipulator, list_whole
         self.clearance, self.scene = clearance, scene_of(manipulator, clearance)
         self.densities = densities
         own = np.ones(len(manipulator.actuators)) if weights is None else np.asarray(weights, dtype=float)
@@ -86,7 +90,8 @@ class Solver:
 
     def prepare(self) -> None:
         """Allocates the memory of minimum-switch searches, so that the first searches do not wait for it."""
-        self.minimum.claim()
+        if self.enumeration is None:
+            self.minimum.claim()
 
     def expect(self, previous: ArrayLike, tolerance: float) -> Iterator[None]:
         """Prepares a minimum-switch search from a configuration (B,), step by step, before its goal is known.
@@ -95,7 +100,7 @@ class Solver:
         """
         seed = np.asarray(previous, dtype=np.int64)
         costs = switch_costs(self.manipulator, seed, self.weights)
-        return self.minimum.expect(seed, costs, tolerance)
+        return self.minimum.expect(seed, costs, tolerance) if self.enumeration is None else iter(())
 
     def target(self, goal: ArrayLike, tolerance: float, angle_tolerance: float = math.inf) -> SearchTarget:
         """Returns a goal as the target of searches by this solver, among its present obstacles.
@@ -156,7 +161,8 @@ class Solver:
             incumbent.offer(seed.copy(), 0.0, 0.0)
         elif method == MINIMUM_SWITCH:
             costs = switch_costs(self.manipulator, seed, self.weights)
-            self.minimum.improve(Problem(target, seed, costs, self._unreachable(target)), incumbent)
+            search = self.minimum if self.enumeration is None else self.enumeration
+            search.improve(Problem(target, seed, costs, self._unreachable(target)), incumbent)
         else:
             best = self.paths.follow(target, seed, method, clock)
             if target.hard and not self.feasible(target, best) and not self._unreachable(target):
@@ -231,6 +237,12 @@ class Solver:
     def chain(self) -> Chain:
         """The arm for kernels."""
         return chain_of(self.manipulator, self.weights, self.least_weight, self.whole_weights)
+
+    @cached_property
+    def enumeration(self) -> Enumeration | None:
+        """All configurations, if they are few; None if they are not to be listed."""
+        few = np.prod(self.manipulator.states.astype(float)) <= LISTED_WHOLE
+        return Enumeration(self.manipulator) if self._list_whole and few else None
 
     @cached_property
     def minimum(self) -> MinimumSwitch:

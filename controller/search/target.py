@@ -123,10 +123,7 @@ class SearchTarget:
 
     def square(self, tip: Frame) -> float:
         """Returns the squared error of a tip (4, 4) in the world."""
-        square = distance(tip, self.goal) ** 2
-        if self.oriented:
-            square += self.weight**2 * 0.5 * float(((tip[:3, :3] - self.goal[:3, :3]) ** 2).sum())
-        return square
+        return float(squared_error(tip, self.goal, float(self.weight)))
 
     def angle(self, tip: Frame) -> float:
         """Returns the angle [rad] between the orientations of a tip (4, 4) and the goal; 0 without orientation."""
@@ -153,6 +150,17 @@ def distance(tip: Frame, goal: Frame) -> float:
     """Returns the distance between the positions of two frames (4, 4)."""
     x, y, z = tip[0, 3] - goal[0, 3], tip[1, 3] - goal[1, 3], tip[2, 3] - goal[2, 3]
     return math.sqrt(x * x + y * y + z * z)
+
+
+@njit("f8(f8[:,:], f8[:,:], f8)", cache=True, nogil=True)
+def squared_error(tip: Frame, goal: Frame, weight: float) -> float:
+    """Returns the squared error of a tip (4, 4), by the weight of rotations, see SearchTarget."""
+    square, chord = distance(tip, goal) ** 2, 0.0
+    if weight > 0:
+        for a in range(3):
+            for b in range(3):
+                chord += (tip[a, b] - goal[a, b]) ** 2
+    return square + weight**2 * 0.5 * chord
 
 
 @njit("b1(f8[:,:], f8[:,:], f8, f8)", cache=True, nogil=True)

@@ -120,7 +120,7 @@ def test_a_program_that_was_only_offered_is_parked_and_checked(desk: Desk) -> No
 
 def test_a_replacement_that_was_only_sent_is_parked_and_checked(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(computations, "PLANNING_TIME", 0.0)  # the first plan has switches to save
-    desk.goal(A, B, (7, 0, 2, 0), A, (2, 2, 1, 0), (5, 1, 4, 0), B, step=10)
+    desk.goal((7, 3, 4, 3), (2, 2, 5, 1), (1, 5, 4, 2), (2, 6, 0, 2), (4, 5, 4, 4), step=10)
     program = desk.executor.expect(Program)
     desk.executor.accept(program)
     better = desk.executor.expect(Replacement)  # of look-ahead; not answered yet

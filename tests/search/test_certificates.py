@@ -26,7 +26,7 @@ X, Y, Z = np.eye(3)
 
 
 def solver_of(arm: Manipulator, weights: np.ndarray | None = None, clearance: BodyClearance | None = None) -> Solver:
-    return Solver(arm, map_densities(arm, arm.length / 20 + 1e-6, 2000), weights, clearance)
+    return Solver(arm, map_densities(arm, arm.length / 20 + 1e-6, 2000), weights, clearance, list_whole=False)
 
 
 def least_cost(solver: Solver, goal: np.ndarray, previous: np.ndarray, tolerance: float, turn: float) -> float:

@@ -63,7 +63,7 @@ def test_many_ways_along_a_trajectory_are_found_where_few_actuators_are_free(fre
     locked = rng.integers(0, 2, 18).astype(np.int8)
     locked[rng.choice(18, freed, replace=False)] = -1
     reduced = lock_actuators(arm, locked)
-    solver = Solver(reduced, map_densities(reduced, 0.02, 4000))
+    solver = Solver(reduced, map_densities(reduced, 0.02, 4000), list_whole=False)
     solver.prepare()
     start = np.zeros(6, dtype=np.int64)
     for _ in solver.expect(start, 0.01):

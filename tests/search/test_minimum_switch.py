@@ -22,7 +22,7 @@ SURE = 1e-7  # a tip nearer to the tolerance than this may count as within or no
 
 
 def solver_of(arm: Manipulator, weights: np.ndarray | None = None) -> Solver:
-    return Solver(arm, map_densities(arm, arm.length / 40 + 1e-6, 4000), weights)
+    return Solver(arm, map_densities(arm, arm.length / 40 + 1e-6, 4000), weights, list_whole=False)
 
 
 def costs_of(arm: Manipulator, previous: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ bases = planar_frames | st.just(np.eye(4))
 
 
 def solver_of(arm: Manipulator, weights: np.ndarray | None = None, clearance: BodyClearance | None = None) -> Solver:
-    return Solver(arm, map_densities(arm, arm.length / 40 + 1e-6, 4000), weights, clearance)
+    return Solver(arm, map_densities(arm, arm.length / 40 + 1e-6, 4000), weights, clearance, list_whole=False)
 
 
 def scene(arm: Manipulator, rng: np.random.Generator) -> list[Shape]:

@@ -27,7 +27,7 @@ bases = planar_frames | st.just(np.eye(4))
 
 
 def solver_of(arm: Manipulator, weights: np.ndarray | None = None) -> Solver:
-    return Solver(arm, map_densities(arm, arm.length / 40 + 1e-6, 4000), weights)
+    return Solver(arm, map_densities(arm, arm.length / 40 + 1e-6, 4000), weights, list_whole=False)
 
 
 def missed(arm: Manipulator, configurations: np.ndarray, goal: Frame) -> tuple[np.ndarray, np.ndarray]:
@@ -160,7 +160,7 @@ def test_a_pose_is_reached_even_if_branch_and_bound_takes_all_the_time_it_is_giv
     monkeypatch.setattr(BranchAndBound, "run", run)
     task = goal_sets.read("paper-poses")[132]
     arm = goal_sets.load_arm(task.arm).manipulator
-    solver = Solver(arm, map_densities(arm, 0.02, 1 << 18))
+    solver = Solver(arm, map_densities(arm, 0.02, 1 << 18), list_whole=False)
     asked = solver.target(task.frame, task.tolerance, task.angle_tolerance)
     solution = solver.solve(asked, task.start, timeout=SearchTime(0.05, unfound=600.0))
     assert solution.within_tolerance

@@ -30,7 +30,7 @@ each_method = pytest.mark.parametrize("method", IPOP_AND_POP)
 
 
 def solver_of(manipulator: Manipulator, pixel: float = 0.02) -> Solver:
-    return Solver(manipulator, map_densities(manipulator, pixel, 1 << 17))
+    return Solver(manipulator, map_densities(manipulator, pixel, 1 << 17), list_whole=False)
 
 
 def random_goals(manipulator: Manipulator, count: int, seed: int = 0) -> np.ndarray:

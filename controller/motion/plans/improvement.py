@@ -79,7 +79,8 @@ class Improvement:
         before = solutions[first - 1].configuration
         search = LabelSetting(planner.solver, points, before, self._stop, memory=MEMORY)
         search.offer(rows, float(planner.solver.cost(rows, np.vstack([before, rows[:-1]])).sum()))
-        search.narrow(width)
+        if not search.try_all(PRICE * width * len(points)):
+            search.narrow(width)
         self._price = (time.perf_counter() - began) / (width * len(points))
         if (found := search.best.configurations) is None:
             return

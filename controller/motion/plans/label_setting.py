@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.motion.plans.cheapest_sequence import cheapest_of_all
 from hyperbit.controller.motion.plans.cost_to_go import CostToGo
-from hyperbit.controller.motion.plans.labels import cheapest, near_labels
+from hyperbit.controller.motion.plans.labels import Layer, cheapest, near_labels
 from hyperbit.controller.motion.plans.points import TrajectoryPoint
 from hyperbit.controller.search.neighbours.chain import keys_of, states_of
 from hyperbit.controller.search.neighbours.neighbours import Neighbours, Pairs, joined
@@ -45,19 +46,6 @@ PRICE_OF_ONE = 5e-3  # [s] to list the neighbours of a configuration of a narrow
 ENOUGH = 4  # neighbours that are listed for each place in a narrow layer
 PRICE_OF_LARGE, MOST_LARGE = 0.05, 256  # [s] from which on all that serves a point is tried; for so many configurations
 FEW_KEYS = 256  # that one thread lists
-
-
-class Layer(NamedTuple):
-    """Configurations that serve a point."""
-
-    keys: Integers  # shape (n, words)
-    costs: Array  # of the cheapest sequence to each, shape (n,)
-    before: Integers  # index of the predecessor in the layer before, shape (n,)
-    rest: Array  # lower bound of the cost to go, shape (n,)
-    exits: Integers  # shape (n,)
-
-    def of(self, rows: Integers) -> "Layer":
-        return Layer(*(array[rows] for array in self))  # type: ignore[arg-type]
 
 
 class BestSequence(NamedTuple):
@@ -113,6 +101,8 @@ class LabelSetting:
     def run(self, seconds: float) -> BestSequence:
         """Searches for a time [s]; returns the best sequence and its bound."""
         began, sweep = time.perf_counter(), SWEEP * seconds >= LEAST_SWEEP
+        if self.try_all(seconds):
+            return self.best
         with suppress(MemoryError):  # what is proven stays
             self._widen(began + (BEAM if sweep else BEAM_ALONE) * seconds)
             if not self.optimal and seconds > 0:
@@ -128,6 +118,15 @@ class LabelSetting:
             self._until = began + seconds
             self.prove()
         return self.best
+
+    def try_all(self, seconds: float) -> bool:
+        """Tries all sequences if the arm has so few that a time [s] suffices; returns whether it did."""
+        start = states_of(self.to_go.chain, self._start)[0]
+        found = cheapest_of_all(self._solver, self._points, start, seconds, self._stop)
+        if found is not None:
+            self.offer(*found)
+            self._raise(found[1])
+        return found is not None
 
     def _widen(self, until: float) -> None:
         """Searches sequences through wider and wider layers."""

@@ -32,6 +32,19 @@ class Labels(NamedTuple):
         return slice(int(self.begins[last]), int(self.ends[k : last + 1].max()))
 
 
+class Layer(NamedTuple):
+    """Configurations that serve a point."""
+
+    keys: Integers  # shape (n, words)
+    costs: Array  # of the cheapest sequence to each, shape (n,)
+    before: Integers  # index of the predecessor in the layer before, shape (n,)
+    rest: Array  # lower bound of the cost to go, shape (n,)
+    exits: Integers  # shape (n,)
+
+    def of(self, rows: Integers) -> "Layer":
+        return Layer(*(array[rows] for array in self))  # type: ignore[arg-type]
+
+
 LABELS = named(Labels, I1, F1, I1, I1, F1, I1)
 
 

@@ -39,7 +39,7 @@ def random_case(seed: int, most: int = 1 << 18) -> Case:
         clearance = BodyClearance(arm, obstacles_of([Disc(tuple(place), 0.1)]), 0.01)
         clear = ~clearance.blocked(every)
         every, clearance = (every[clear], clearance) if clear.any() else (every, None)
-    solver = Solver(arm, map_densities(arm, 0.1, 1 << 14), weights, clearance)
+    solver = Solver(arm, map_densities(arm, 0.1, 1 << 14), weights, clearance, list_whole=False)
     tips = arm.tips(every)
     count = int(rng.integers(3, 8))
     path = [int(rng.integers(len(every)))]

@@ -72,7 +72,7 @@ def check(solver: Solver, trajectory: Trajectory, start: np.ndarray, clear: np.n
 def test_the_optimum_of_small_arms_is_found_and_proven(arm, seed, weighted):
     rng = np.random.default_rng(seed)
     weights = [None, rng.uniform(0.5, 3.0, len(arm.actuators)), rng.integers(1, 4, len(arm.actuators))][weighted]
-    solver = Solver(arm, map_densities(arm, 0.1, 1 << 16), weights)
+    solver = Solver(arm, map_densities(arm, 0.1, 1 << 16), weights, list_whole=False)
     path = np.array([rng.integers(0, arm.states) for _ in range(5)])
     tips = arm.tips(path)
     noise = rng.normal(size=(5, arm.dimension)) * 0.01
@@ -84,7 +84,7 @@ def test_the_optimum_of_small_arms_is_found_and_proven(arm, seed, weighted):
 @pytest.mark.parametrize("arm", [paper_arm(3), spatial_arm(3)], ids=["planar", "spatial"])
 def test_arms_that_hold_a_configuration_for_several_points(arm):
     rng = np.random.default_rng(4)
-    solver = Solver(arm, map_densities(arm, 0.05, 1 << 16))
+    solver = Solver(arm, map_densities(arm, 0.05, 1 << 16), list_whole=False)
     ends = arm.tips([rng.integers(0, arm.states) for _ in range(2)])[:, : arm.dimension, 3]
     points = ends[0] + np.linspace(0, 1, 12)[:, None] * (ends[1] - ends[0])
     check(solver, through(np.arange(12.0), points, 0.15), np.zeros(3, dtype=np.int64))
@@ -92,7 +92,7 @@ def test_arms_that_hold_a_configuration_for_several_points(arm):
 
 def test_points_that_are_configurations_are_kept():
     arm, rng = paper_arm(3), np.random.default_rng(7)
-    solver = Solver(arm, map_densities(arm, 0.05, 1 << 16))
+    solver = Solver(arm, map_densities(arm, 0.05, 1 << 16), list_whole=False)
     path = np.array([rng.integers(0, arm.states) for _ in range(4)])
     positions = arm.tips(path)[:, :2, 3]
     given_states = {1: arm.actuator_states(path[1]), 3: arm.actuator_states(path[3])}
@@ -106,7 +106,7 @@ def test_configurations_keep_clear_of_obstacles():
     every = every_configuration(arm)
     clearance = BodyClearance(arm, obstacles_of([Disc((0.1, 0.75), 0.1)]), 0.01)
     clear = ~clearance.blocked(every)
-    solver = Solver(arm, map_densities(arm, 0.05, 1 << 16), None, clearance)
+    solver = Solver(arm, map_densities(arm, 0.05, 1 << 16), None, clearance, list_whole=False)
     rng = np.random.default_rng(3)
     path = every[rng.choice(np.flatnonzero(clear), 2)]
     trajectory = through(np.arange(2.0), arm.tips(path)[:, :2, 3], 0.02)

@@ -165,7 +165,7 @@ TIPS = MANIPULATOR.tips(EVERY)[:, :2, 3]
 
 @pytest.fixture(scope="module")
 def solver() -> Solver:
-    return Solver(MANIPULATOR, map_densities(MANIPULATOR, 0.01, 10_000))
+    return Solver(MANIPULATOR, map_densities(MANIPULATOR, 0.01, 10_000), list_whole=False)
 
 
 def test_plans_take_the_next_configuration_where_there_is_no_way_to_the_cheapest(solver):

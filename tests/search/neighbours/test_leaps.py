@@ -23,7 +23,7 @@ LONG = {"planar": paper_arm(48), "spatial": spatial_arm(44)}
 
 
 def solver_of(arm: Manipulator, weights: np.ndarray | None = None, clearance: BodyClearance | None = None) -> Solver:
-    return Solver(arm, map_densities(arm, arm.length / 40 + 1e-6, 4000), weights, clearance)
+    return Solver(arm, map_densities(arm, arm.length / 40 + 1e-6, 4000), weights, clearance, list_whole=False)
 
 
 @settings(max_examples=60)
