@@ -184,7 +184,7 @@ class LabelSetting:
             return
         costs = layers[-1].costs + self._solver.cost(states_of(self.to_go.chain, layers[-1].keys), rows[k])
         n, rest = int(np.argmin(costs)), float(self._solver.cost(rows[k + 1 :], rows[k:-1]).sum())
-        self._offer_rows(np.vstack([self._trace(layers, n), rows[k:]]), float(costs[n]) + rest)
+        self.offer(np.vstack([self._trace(layers, n), rows[k:]]), float(costs[n]) + rest)
 
     def _complete(self, ceiling: float) -> bool:
         """Proves that each sequence costs more than `ceiling`, or finds the cheapest; False without time or space."""
@@ -206,14 +206,7 @@ class LabelSetting:
 
     def _offer_through(self, layers: list[Layer]) -> None:
         n = int(np.argmin(layers[-1].costs))
-        self._offer_rows(self._trace(layers, n), float(layers[-1].costs[n]))
-
-    def _offer_rows(self, rows: Integers, cost: float) -> None:
-        """Offers a sequence (n, B) if it is within the tolerances, without the slack of the kernels."""
-        if cost < self.best.cost and all(
-            self._solver.feasible(point.target, row) for point, row in zip(self._points, rows, strict=True)
-        ):
-            self.offer(rows, cost)
+        self.offer(self._trace(layers, n), float(layers[-1].costs[n]))
 
     def _cheapest(self, layer: Layer, k: int, width: int) -> Layer | None:
         """Returns about `width` of the cheapest configurations for point k; None if none is found in time."""

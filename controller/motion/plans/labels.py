@@ -73,7 +73,7 @@ def judge(
             rest[n], exits[n] = np.inf, -1
             continue
         exit, tip = k, write_tip(chain, keys, n, changed.frames)
-        while exit < labels.last[k] and serves(places, exit + 1, changed.frames, tip, keys, n):
+        while exit < labels.last[k] and serves(chain, places, exit + 1, changed.frames, tip, keys, n):
             exit += 1
         low, high = labels.begins[exit], labels.ends[exit]
         end, key = high, keys[n, 0]

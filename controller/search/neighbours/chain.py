@@ -7,12 +7,13 @@ import numpy as np
 from numba import boolean, float64, int64, njit
 from numpy.typing import ArrayLike, NDArray
 
-from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, I1, I2, UNCOUNTED, named
+from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, F4, I1, I2, UNCOUNTED, named
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.manipulator.manipulator import tip as tip_of
 from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
 from hyperbit.controller.search.lists.segment import compose, motions
 from hyperbit.controller.search.method import costs_between_states
-from hyperbit.controller.search.target import SearchTarget
+from hyperbit.controller.search.target import SLACK, SearchTarget, within
 
 Array = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -37,21 +38,28 @@ class Chain(NamedTuple):
     least: float  # least cost of a switch
     whole: bool  # whether all costs are multiples of it
     blur: float  # rounding error of points in single precision
+    base: Array  # frame F_0 in the world, shape (4, 4)
+    frames: Array  # configuration sets, shape (B, Kmax, 4, 4)
 
 
 class Places(NamedTuple):
-    """The points of a trajectory, in frame F_0."""
+    """The points of a trajectory. Radii and chords have some slack for rounding, see `serves`."""
 
-    positions: Array  # shape (n, 3)
-    rotations: Array  # cos and sin, or row by row, shape (n, 2) or (n, 9)
-    radii: Array  # greatest distances, shape (n,)
-    chords: Array  # greatest squared chords; infinite without orientation, shape (n,)
+    positions: Array  # in frame F_0, shape (n, 3)
+    rotations: Array  # in frame F_0; cos and sin, or row by row, shape (n, 2) or (n, 9)
+    radii: Array  # distances above which no tip is within the tolerance, shape (n,)
+    sure_radii: Array  # distances below which each is, shape (n,)
+    chords: Array  # the same of squared chords; infinite without orientation, shape (n,)
+    sure_chords: Array  # shape (n,)
+    goals: Array  # frames in the world, shape (n, 4, 4)
+    tolerances: Array  # of the distances, shape (n,)
+    turns: Array  # tolerances of the angles [rad]; infinite without orientation, shape (n,)
     fixed: Flags  # whether a point is given as a configuration, shape (n,)
     given: Integers  # its key, shape (n, words)
 
 
-CHAIN = named(Chain, F2, I1, F3, I1, I1, I1, float64, boolean, float64)
-PLACES = named(Places, F2, F2, F1, F1, boolean[::1], I2)
+CHAIN = named(Chain, F2, I1, F3, I1, I1, I1, float64, boolean, float64, F2, F4)
+PLACES = named(Places, F2, F2, F1, F1, F1, F1, F3, F1, F1, boolean[::1], I2)
 MOVED = "UniTuple(f8, 3)(f8[:,::1], i8, f8, f8, f8)"
 
 
@@ -66,10 +74,8 @@ def chain_of(manipulator: Manipulator, weights: Array, least: float, whole: bool
         used += width
     masks = np.array([(1 << width) - 1 for width in bits], dtype=np.int64)
     places = np.array(words, dtype=np.int64), np.array(shifts, dtype=np.int64)
-    costs = costs_between_states(manipulator, weights)
-    return Chain(
-        motions(manipulator), manipulator.states, costs, *places, masks, least, whole, BLUR * manipulator.length
-    )
+    m, costs, blur = manipulator, costs_between_states(manipulator, weights), BLUR * manipulator.length
+    return Chain(motions(m), m.states, costs, *places, masks, least, whole, blur, m.base, m.frames)
 
 
 def places_of(chain: Chain, points: Iterable[tuple[SearchTarget, Configuration | None]]) -> Places:
@@ -80,11 +86,18 @@ def places_of(chain: Chain, points: Iterable[tuple[SearchTarget, Configuration |
     for row, configuration in zip(given, configurations, strict=True):
         if configuration is not None:
             row[:] = keys_of(chain, configuration)[0]
+    radii, tolerances = np.array([(target.radius, target.tolerance) for target in targets]).T.copy()
+    chords = np.array([target.chord if target.oriented else np.inf for target in targets])
     return Places(
         np.array([target.position for target in targets]),
         np.array([target.row[size:] for target in targets]),
-        np.array([target.radius for target in targets]),
-        np.array([target.chord if target.oriented else np.inf for target in targets]),
+        radii,
+        np.maximum(2 * tolerances - radii, 0.0),
+        chords,
+        chords - 2 * SLACK,
+        np.array([target.goal for target in targets]),
+        tolerances,
+        np.array([target.angle_tolerance if target.oriented else np.inf for target in targets]),
         np.array([configuration is not None for configuration in configurations]),
         given,
     )
@@ -150,9 +163,19 @@ def write_tip(chain: Chain, keys: Integers, n: int, frames: Array) -> int:
     return now
 
 
-@njit(boolean(PLACES, int64, F2, int64, I2, int64), **UNCOUNTED)
-def serves(places: Places, k: int, tips: Array, tip: int, keys: Integers, n: int) -> bool:
-    """Returns whether keys[n], whose tip is tips[tip], serves point k, with a slightly larger tolerance."""
+@njit(boolean(CHAIN, PLACES, int64, I2, int64), cache=True, nogil=True)
+def serves_on_edge(chain: Chain, places: Places, k: int, keys: Integers, n: int) -> bool:
+    """Returns whether keys[n] serves point k, a position or pose, by `within`."""
+    configuration = np.empty(len(chain.states), np.int64)
+    for i in range(len(configuration)):
+        configuration[i] = state_of(chain, keys, n, i)
+    tip = tip_of(chain.base, chain.frames, configuration)
+    return bool(within(tip, places.goals[k], places.tolerances[k], places.turns[k]))
+
+
+@njit(boolean(CHAIN, PLACES, int64, F2, int64, I2, int64), **UNCOUNTED)
+def serves(chain: Chain, places: Places, k: int, tips: Array, tip: int, keys: Integers, n: int) -> bool:
+    """Returns whether keys[n], whose tip is tips[tip], serves point k. Where rounding might decide, `within` does."""
     if places.fixed[k]:
         same = True
         for a in range(keys.shape[1]):
@@ -166,8 +189,11 @@ def serves(places: Places, k: int, tips: Array, tip: int, keys: Integers, n: int
     if places.chords[k] < np.inf:
         for a in range(places.rotations.shape[1]):
             chord += (tips[tip, size + a] - places.rotations[k, a]) ** 2
-        return bool(chord * (1.0 if size == 2 else 0.5) <= places.chords[k])
-    return True
+        chord *= 1.0 if size == 2 else 0.5
+        if chord > places.chords[k]:
+            return False
+    sure = square < places.sure_radii[k] ** 2 and chord < places.sure_chords[k]
+    return bool(sure or serves_on_edge(chain, places, k, keys, n))
 
 
 @njit(
@@ -178,7 +204,7 @@ def fits(
     chain: Chain, places: Places, k: int, scene: Scene | None, frames: Array, keys: Integers, n: int, states: Integers
 ) -> bool:
     """Returns whether keys[n] serves point k and is clear; the last two frames and states (B,) are scratch."""
-    if not serves(places, k, frames, write_tip(chain, keys, n, frames), keys, n):
+    if not serves(chain, places, k, frames, write_tip(chain, keys, n, frames), keys, n):
         return False
     if scene is not None:
         for i in range(len(states)):

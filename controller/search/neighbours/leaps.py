@@ -85,11 +85,10 @@ class Leaps:
             return False
         states = states_of(chain, found.keys)
         costs = problem.costs[np.arange(len(row)), states].sum(axis=1)
-        for n in np.argsort(costs, kind="stable").tolist():
-            if problem.target.met(states[n]):
-                square = problem.target.square(problem.target.manipulator.tip(states[n]))
-                incumbent.offer(states[n], float(costs[n]), square)
-                break
+        if len(costs):
+            n = int(np.argmin(costs))
+            square = problem.target.square(problem.target.manipulator.tip(states[n]))
+            incumbent.offer(states[n], float(costs[n]), square)
         return True
 
     def _memory(self, problem: Problem) -> Neighbours:

@@ -9,6 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperbit.controller.manipulator.frame_kernels import angle_between
+from hyperbit.controller.manipulator.joints import prismatic
+from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.motion.plans import label_setting
 from hyperbit.controller.motion.plans.label_setting import LabelSetting
 from hyperbit.controller.motion.plans.points import TrajectoryPoints
@@ -79,6 +81,14 @@ def test_the_optimum_of_small_arms_is_found_and_proven(arm, seed, weighted):
     turns = np.where(rng.random(5) < 0.3, 0.3, np.inf)
     trajectory = through(np.arange(5.0), tips[:, : arm.dimension, 3] + noise, 0.1, None, tips[:, :3, :3], turns)
     check(solver, trajectory, path[0])
+
+
+@pytest.mark.parametrize("goal", [0.4, 0.6, 0.7, 0.8, 0.9, 1.0])
+def test_cheaper_tips_one_float_beyond_the_tolerance_do_not_keep_the_optimum_from_its_proof(goal):
+    """Some tips are 0.30000000000000004 away from 0.4, 0.8, 0.9 and 1.0."""
+    arm = Manipulator([prismatic((1, 0, 0), (0.0, 0.1), np.eye(4))] * 8)
+    solver = Solver(arm, map_densities(arm, 0.05, 1 << 12), list_whole=False)
+    check(solver, through(np.arange(2.0), np.array([(0.2, 0.0), (goal, 0.0)]), 0.3), np.zeros(8, dtype=np.int64))
 
 
 @pytest.mark.parametrize("arm", [paper_arm(3), spatial_arm(3)], ids=["planar", "spatial"])
