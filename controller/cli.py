@@ -19,7 +19,8 @@ from hyperbit.controller.commands.table import COMMANDS, GROUPS, CommandEntry
 from hyperbit.controller.host.machine_code import ADVICE, REFUSAL
 from hyperbit.controller.host.signals import exit_on_signals
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EMFILE, errno.ENFILE, errno.ENOMEM)  # of disk and system
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM)  # of disk and system
+UNUSABLE = (errno.EROFS, errno.ENOLCK, errno.EACCES)  # of the place of a file; the error has the remedy
 WIDE = {"max_content_width": 120}  # columns of --help, on terminals that have them
 
 
@@ -174,6 +175,8 @@ def main() -> None:
         if isinstance(error, OSError) and error.errno in FULL:
             where = "" if error.filename is None else f"{error.filename}: "
             error = CommandFailed(f"{where}{error.strerror}", "free it, and start the command again")
+        elif isinstance(error, OSError) and error.errno in UNUSABLE:
+            error = CommandFailed(f"{error.filename}: {error.strerror}")
         if not isinstance(error, InputFaults | CommandFailed):
             raise
         sys.stderr.write(f"{error}\n")

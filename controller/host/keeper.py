@@ -14,6 +14,7 @@ of JSON, and both generations in zlib.
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import json
 import os
@@ -45,6 +46,13 @@ GONE = b"was deleted or moved, and is written again"
 LONGEST_LINE = 1_000  # bytes of a message of the copying keeper; a pipe takes 4,096 at once
 
 
+REMEDIES = {  # by error of a file that is to be locked
+    errno.EACCES: "it or its folder belongs to another user: name another folder, or start as that user",
+    errno.ENOLCK: "its file system has no locks: name a folder on a local disk",
+    errno.EROFS: "name a folder that can be written",
+}
+
+
 class FileInUse(Exception):
     """Another process has locked a file; the text names it."""
 
@@ -65,8 +73,18 @@ def lock_file(path: Path, used: str, timeout: float = 0.0) -> int:
 
     Raises:
         FileInUse: another process has locked the file.
-        OSError: it cannot be opened.
+        OSError: it cannot be opened or locked; the error names the file, and a remedy if there is one.
     """
+    try:
+        return lock(path, used, timeout)
+    except OSError as error:
+        number, words = error.errno or errno.EIO, [error.strerror or str(error)]
+        words += [REMEDIES[number]] if number in REMEDIES else []
+        raise OSError(number, "; ".join(words), error.filename or str(path)) from None
+
+
+def lock(path: Path, used: str, timeout: float) -> int:
+    """Does what `lock_file` does; an error need not name the file."""
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     deadline = time.monotonic() + timeout
     while True:
@@ -82,6 +100,9 @@ def lock_file(path: Path, used: str, timeout: float = 0.0) -> int:
                 os.close(number)
                 raise FileInUse(f"{used} {pid}") from None
             time.sleep(RETRY)
+        except OSError:
+            os.close(number)
+            raise
         os.close(number)
 
 
@@ -250,7 +271,8 @@ def keep(paths: Sequence[Path], folder: Path) -> None:
             with contextlib.suppress(OSError):
                 os.write(2, f"{text} ({cause})\n".encode())
     for path in paths:
-        path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # the file system in memory can be read only
+            path.unlink(missing_ok=True)
 
 
 def reopen_errors() -> None:

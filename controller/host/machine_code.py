@@ -8,7 +8,7 @@ import contextlib
 import importlib.util
 import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
@@ -17,6 +17,7 @@ from typing import Any
 from hyperbit.controller.host.folders import private_folder, user_folder, writable
 
 VARIABLE = "NUMBA_CACHE_DIR"
+PACKAGE = Path(__file__).parents[1]
 told = list[str]()  # sentences for the user, each told once
 REFUSAL = "no locator available"  # in numba's error, if it finds no folder
 ADVICE = f"set {VARIABLE} to a folder that you can write"
@@ -29,9 +30,12 @@ def usual_folders() -> list[Path]:
 
 
 def choose(folders: Iterable[Path]) -> str | None:
-    """Makes numba use a temporary folder if none of its usual ones is writable; returns a sentence on this, or None."""
+    """Makes numba use a temporary folder if none of its usual ones is writable; returns a sentence on this, or None.
+
+    A read-only installation whose kernels are compiled needs no folder.
+    """
     tried = list(folders)
-    if any(writable(folder) for folder in tried):
+    if any(writable(folder) for folder in tried) or any(PACKAGE.rglob("__pycache__/*.nbi")):
         return None
     refused = f"numba cannot write its machine code to {', '.join(map(str, tried))}"
     if (folder := private_folder("numba")) is None:
@@ -56,9 +60,23 @@ class FirstImport:
             def executed(module: ModuleType) -> None:
                 execute(module)
                 module.Cache._guard_against_spurious_io_errors = forgiving
+                module._CacheLocator.ensure_cache_path = usable(module._CacheLocator.ensure_cache_path)
 
             spec.loader.exec_module = executed  # type: ignore[method-assign]
         return spec
+
+
+def usable(ensure: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Returns numba's check of a folder, which also accepts a read-only folder that has machine code."""
+
+    def check(locator: Any) -> None:
+        try:
+            ensure(locator)
+        except OSError:
+            if not any(Path(locator.get_cache_path()).glob("*.nbi")):
+                raise
+
+    return check
 
 
 @contextlib.contextmanager

@@ -16,6 +16,7 @@ CHECK = """
 import sys
 from pathlib import Path
 from hyperbit.controller.host import machine_code
+machine_code.PACKAGE = Path(sys.argv[1])  # nothing is compiled there
 machine_code.usual_folders = lambda: [Path(folder) for folder in sys.argv[2:]]
 assert "numba" not in sys.modules
 machine_code.watch()
@@ -69,6 +70,7 @@ def test_kernels_are_compiled_where_no_usual_folder_can_be_written(tmp_path, now
 @pytest.mark.parametrize("fault", ["open to others", "a link"])
 def test_a_temporary_folder_that_others_can_write_is_not_used(tmp_path, nowhere, monkeypatch, fault):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr(machine_code, "PACKAGE", tmp_path)
     folder = tmp_path / f"hyperbit-numba-{os.getuid()}"
     if fault == "a link":
         (tmp_path / "other").mkdir(mode=0o700)
@@ -102,6 +104,24 @@ def kept_kernel(folder: Path, **more: str) -> tuple[str, str]:
     done = subprocess.run([sys.executable, "-c", KEPT, folder], capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip(), done.stderr
+
+
+READ_ONLY = """
+import tempfile
+
+def refuse(*_, **__):
+    raise OSError(30, "Read-only file system")
+
+tempfile.TemporaryFile = refuse
+"""
+
+
+def test_a_read_only_installation_uses_its_compiled_kernels(tmp_path):
+    assert kept_kernel(tmp_path, NUMBA_CACHE_DIR="") == ("8 0", "")
+    (tmp_path / "sitecustomize.py").write_text(READ_ONLY)
+    path = os.pathsep.join((str(tmp_path), str(ARM.parents[1] / ".package")))
+    home = str(tmp_path / "home")
+    assert kept_kernel(tmp_path, NUMBA_CACHE_DIR="", PYTHONPATH=path, TMPDIR=home, XDG_CACHE_HOME=home) == ("8 1", "")
 
 
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
