@@ -5,10 +5,9 @@ from collections import Counter
 from typing import Any
 
 from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.armfile.names import shortened
 from hyperbit.controller.armfile.terminals import named_boards
 from hyperbit.controller.workspace.hull import build_hull
-
-MOST_NAMED = 6  # in a line of the summary
 
 
 def summarize(arm: Arm) -> dict[str, Any]:
@@ -54,8 +53,3 @@ def summary_lines(fields: dict[str, Any]) -> list[tuple[str, str]]:
         ("reach", f"{fields['reach']:.4g} from the base"),
         ("travel time", f"{fields['travel_time']:g} s"),
     ]
-
-
-def shortened(names: list[str]) -> str:
-    """Joins names; of many only the first, with the number of the others."""
-    return ", ".join(names[:MOST_NAMED]) + (f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else "")

@@ -174,7 +174,7 @@ class ActionGoals:
             begun.decided = True
         if begun.early is not None:
             self._end(booked.id, begun.early)
-        self._say(INFO, f"goal {booked.id} of {self._kinds[kind].name} is accepted")
+        self._say(INFO, f"goal {booked.id} of {self._kinds[kind].name} is accepted: {answer.text}")
 
     def _withdraw(self, name: str, *, may_run: bool) -> None:
         """Removes a rejected goal; cancels it if the daemon may run it."""

@@ -92,7 +92,11 @@ def diagnostics(arm: str, state: Message, told: Message | None, *, alive: bool =
             f"{arm}: arm",
             level if alive else STALE,
             words if alive else f"the daemon is gone; its last words were {words}",
-            {"goal": state.get("goal") or "", "simulated": state.get("simulated", False)},
+            {
+                "goal": state.get("goal") or "",
+                "simulated": state.get("simulated", False),
+                "homing": ", ".join(state.get("homing", ())),
+            },
         )
     ]
     for fault in state.get("faults", ()):

@@ -129,6 +129,15 @@ def test_go_waits_while_another_goal_runs_or_the_arm_is_not_ready(trouble: Troub
     assert shown.text("#goal .why") == ""
 
 
+def test_a_plan_tells_what_is_homed_first(trouble: Trouble, driver: object) -> None:
+    trouble.daemon.homing = ["1.left", "1.right"]
+    try:
+        shown = planned(trouble, driver)
+        shown.says("#goal .plan", "homing first\n2 more switches: 1.left, 1.right")
+    finally:
+        trouble.daemon.homing = []
+
+
 def test_a_goal_that_cannot_be_planned_does_not_go(trouble: Trouble, driver: object) -> None:
     accepted = trouble.daemon.answer
     trouble.daemon.answer = {"accepted": False, "code": -2, "message": "waypoints[0].position: out of reach"}

@@ -69,6 +69,7 @@ class PlayedDaemon:
         self.gate = threading.Event()
         self.gate.set()
         self.planned: Message = {}
+        self.homing: list[str] = []
         self.answer: Message = {"accepted": True, "code": 0, "message": "done"}
         self._latest: Message | None = None
         self._order = threading.Lock()
@@ -93,7 +94,7 @@ class PlayedDaemon:
         if key == "plan":
             self.gate.wait(PATIENCE)
             point = {"configuration": "1" * 16, "between": False, **self.planned}
-            answer = {**answer, "waypoints": [point], "switches": 3}
+            answer = {**answer, "waypoints": [point], "switches": 3, "homing": self.homing}
         if key == "goal":
             answer = {**answer, "id": payload["id"]}
         query.reply(f"{self._keys_of}/{key}", json.dumps(answer).encode())

@@ -242,6 +242,30 @@ def test_actuators_of_unknown_state_are_planned_from_a_guess_and_a_jog_homes_onl
     assert unpack(program.homed) == 1
 
 
+def test_state_plan_and_answer_tell_what_a_goal_homes_and_the_result_counts_it(desk: Desk) -> None:
+    count = desk.executor.actuators
+    desk.show(known=pack(((1 << count) - 1) & ~0b11, count), homing=pack(0b11, count))
+    homing = list(desk.arm.manipulator.actuators[:2])
+    assert desk.published["state"]["homing"] == homing
+    desk.ask("plan", {"waypoints": [{"position": desk.tip(*C)}]}, "plan")
+    told = f"; before them 2 switches home actuators of unknown position: {', '.join(homing)}"
+    plan = desk.inbox.next("plan")
+    assert (plan["homing"], plan["message"].endswith(told)) == (homing, True)
+    desk.goal(C, name="c")
+    program = desk.executor.expect(Program)
+    planned = (unpack(program.start) ^ unpack(program.stages[-1].states)).bit_count()
+    desk.executor.accept(program)
+    answer = desk.inbox.next("reply")
+    assert (answer["homing"], answer["message"]) == (homing, f"accepted, 1 waypoint, {planned} switches planned{told}")
+    desk.show(known=pack((1 << count) - 1, count), homing=pack(0, count))
+    desk.executor.run(program, 0, switches=planned + 2)
+    desk.inbox.next("feedback")
+    desk.executor.end(program, switches=planned + 2)
+    result = desk.inbox.next("result")
+    told = f"reached; {planned + 2} switches, 2 of them to home actuators of unknown position"
+    assert (result["message"], result["planned_switches"]) == (told, planned)
+
+
 def test_the_answer_to_a_goal_says_that_its_homing_is_not_checked_among_obstacles(desk: Desk) -> None:
     count = desk.executor.actuators
     desk.show(known=pack(((1 << count) - 1) & ~1, count), homing=pack(1, count))

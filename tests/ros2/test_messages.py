@@ -75,7 +75,8 @@ def test_diagnostics_are_in_words() -> None:
         "loop": {"late_worst": 0.001},
         "executor": "connected",
     }
-    fields = messages.diagnostics("a", state(mode="fault", reason="can0/5 is silent", faults=[fault]), told)
+    homes = {"homing": ["1.left", "1.right"]}
+    fields = messages.diagnostics("a", state(mode="fault", reason="can0/5 is silent", faults=[fault]) | homes, told)
     found = {it.name: it for it in sent(fields, "diagnostic_msgs/msg/DiagnosticArray").status}
     assert {name: int(it.level) for name, it in found.items()} == {
         "a: arm": messages.FAULTY,
@@ -85,6 +86,7 @@ def test_diagnostics_are_in_words() -> None:
         "a: loop": messages.OK,
     }
     assert found["a: arm"].message == "fault: can0/5 is silent"
+    assert ("homing", "1.left, 1.right") in [(it.key, it.value) for it in found["a: arm"].values]
     assert [(it.key, it.value) for it in found["a: bus can0"].values] == [("load", "0.1")]
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict
 
-from hyperbit.controller.armfile.locks import STATES
+from hyperbit.controller.armfile.names import shortened
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.arm.kinds import indices
 from hyperbit.controller.executor.arm.locked import LockedActuators
@@ -47,10 +47,13 @@ class Reports:
         problem, homing = self._health.journal, motion.readings.homing & self._master.known
         own = () if problem is None else (ArmFault("journal", "executor", problem),)
         every = faults + self._locked.faults() + self._master.warnings() + own
-        for k in indices(homing):
-            label, guess = self._arm.actuators[k], STATES[motion.actuation.states >> k & 1]
-            text = f"the state of actuator {label} is unknown: the next goal homes it to {guess} first; or use `jog`"
-            every += (ArmFault("unknown-position", label, text),)
+        if homing:
+            labels, count = shortened([self._arm.actuators[k] for k in indices(homing)]), homing.bit_count()
+            them = (
+                "1 actuator first, with 1 switch" if count == 1 else f"{count} actuators first, with {count} switches"
+            )
+            text = f"the position of {labels} is unknown: the next goal homes {them}; or use `jog`"
+            every += (ArmFault("unknown-position", "arm", text),)
         return Snapshot(
             at=now,
             mode=mode,

@@ -90,7 +90,9 @@ ADVICE = {
         " make the folder writable, or restart the executor.",
         After.NOTHING,
     ),
-    "unknown-position": FaultAdvice("The first goal moves the actuator to an end; or jog it.", After.NOTHING),
+    "unknown-position": FaultAdvice(
+        "The next goal homes these actuators first, a large motion; or jog them.", After.NOTHING
+    ),
     "degraded": FaultAdvice("The arm works without this actuator. Unlock it after the repair.", After.NOTHING),
 }
 UNKNOWN = FaultAdvice("See the journal: journalctl -u 'hyperbit*'.", After.NOTHING)

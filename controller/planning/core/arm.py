@@ -76,6 +76,11 @@ class ArmState:
         """Which actuators have an unknown state until they are homed."""
         return self.unpacked(self.snapshot.homing).astype(np.bool_)
 
+    @property
+    def homed_first(self) -> list[str]:
+        """Labels of the actuators that the next goal homes first, each with one switch."""
+        return [self.manipulator.actuators[k] for k in np.flatnonzero(self.homing)]
+
     @cached_property
     def commanded(self) -> States:
         """The states from which stages begin: the outputs; for a locked actuator its locked state.

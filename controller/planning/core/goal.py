@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from hyperbit.controller.armfile.locks import STATES
+from hyperbit.controller.armfile.names import shortened
 from hyperbit.controller.manipulator.notation import format_configuration, pose
 from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
 from hyperbit.controller.motion.stages.feed import Feed, PlannedPoint, PlanProof, Route
@@ -46,6 +47,7 @@ class Context(msgspec.Struct, frozen=True, omit_defaults=True):
     sent: float = 0.0  # time at which the program was made [UNIX s]
     proof: PlanProof | None = None  # of the plan; None for a jog
     jogged: dict[int, int] = {}  # new state of each actuator of a jog, by index
+    homed: int = 0  # actuators of unknown position that are homed first, each with one switch
 
     @property
     def target(self) -> GoalTarget | None:
@@ -71,13 +73,13 @@ class GoalReport:
         self._stages = 0  # since the waypoint before
         self._deviation: float | None = 0.0  # greatest one since the waypoint before; None: not known
 
-    def context(self, sent: float, proof: PlanProof) -> Context:
+    def context(self, sent: float, proof: PlanProof, homed: int) -> Context:
         last, bias = len(self._trajectory.times) - 1, self._trajectory.bias
         target = self.target(last)
         rotation = [] if target.rotation is None else target.rotation.ravel().tolist()
         angle, numbers = target.angle_tolerance if rotation else 0.0, None if bias is None else bias.tolist()
         where = target.position.tolist(), target.tolerance, rotation, angle, target.configuration
-        return Context(self._goal, self.count, last, *where, numbers, sent, proof)
+        return Context(self._goal, self.count, last, *where, numbers, sent, proof, homed=homed)
 
     def present(self) -> Payload:
         """Returns the waypoint, None before the first, and the target; before the start that of the first point."""
@@ -219,6 +221,14 @@ def unsure_of(state: ArmState) -> str | None:
     return None
 
 
+def homing_words(state: ArmState) -> str:
+    """Returns what a goal homes before its planned switches, to complete a sentence; "" if nothing."""
+    if not (labels := state.homed_first):
+        return ""
+    count = f"{len(labels)} {'switch homes' if len(labels) == 1 else 'switches home'}"
+    return f"; before them {count} actuators of unknown position: {shortened(labels)}"
+
+
 def make_program(parts: Parts, goal: Goal, state: ArmState) -> None:
     """Sets the program of a planned goal or jog, and the fields that are used in flight.
 
@@ -245,9 +255,9 @@ def make_program(parts: Parts, goal: Goal, state: ArmState) -> None:
         points, times, others = planned.points, tuple(trajectory.times.tolist()), tuple(between.tolist())
         waypoints, switches = len(trajectory.waypoints), proof.switches
         words = f"accepted, {waypoints} {'waypoint' if waypoints == 1 else 'waypoints'}, {switches} "
-        words += f"{'switch' if switches == 1 else 'switches'} planned"
+        words += f"{'switch' if switches == 1 else 'switches'} planned{homing_words(state)}"
         goal.report = GoalReport(parts.view.manipulator, goal.id, trajectory)
-        context = goal.report.context(moment.wall, proof)
+        context = goal.report.context(moment.wall, proof, len(state.homed_first))
     else:
         assert isinstance(goal.wanted, Jog)
         assert planned is not None
@@ -261,7 +271,8 @@ def make_program(parts: Parts, goal: Goal, state: ArmState) -> None:
         context = Context(goal.id, sent=moment.wall, jogged=wanted)
     if unsure is not None and not scene.free:  # motions from an unknown position are not checked
         words += f"; collisions{' of the homing' if goal.report else ''} were not checked, because {unsure}"
-    goal.answer = {**done(words if goal.report else words[:1_000]), "id": goal.id}
+    homing = {"homing": state.homed_first} if goal.report else {}
+    goal.answer = {**done(words if goal.report else words[:1_000]), "id": goal.id, **homing}
     route = Route(state.snapshot.outputs, points, times, others, pace.lead, goal.delay, most)
     number = parts.next_number()
     goal.feed = feed = Feed(parts.view.manipulator, number, route, strict, scene.generation, proof)

@@ -7,6 +7,7 @@ from hyperbit.controller.motion.decoding.requests import DegradeMessage, FaultMe
 from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.arm import obstruction
 from hyperbit.controller.planning.core.events import CancelMessage, Payload, Reply, Request, ToExecutor, done, refused
+from hyperbit.controller.planning.core.goal import homing_words
 from hyperbit.controller.planning.core.goals import EXECUTOR_TIMEOUT, Goals
 from hyperbit.controller.planning.core.parts import Parts, Ticket
 from hyperbit.controller.planning.core.premises import Premises
@@ -66,7 +67,11 @@ class Queries:
     def _answered(self, query: Request, answer: tasks.Answer) -> None:
         del self._jobs[query.number]
         if isinstance(answer, tasks.Described):
-            self._answer(query.number, answer.payload)
+            state, payload = self._parts.view.state, answer.payload
+            if state is not None:  # the motions of actuators of unknown position come before the plan
+                message = payload["message"] + homing_words(state)
+                payload = {**payload, "message": message, "homing": state.homed_first}
+            self._answer(query.number, payload)
         else:
             self._refuse(query, tasks.refusal_of(answer))
 

@@ -93,7 +93,9 @@ class Results:
             target = None if goal.report is None else goal.report.target(max(goal.report.point, 0))
             outcome = goal.outcome
         outcome = outcome or outcome_of(view.manipulator, message, measured, context)
-        if outcome.status == "succeeded" and (why := why_not_as_planned(planned, context.proof, message.switches)):
+        if outcome.status == "succeeded" and (
+            why := why_not_as_planned(planned, context.proof, message.switches, context.homed)
+        ):
             outcome = outcome._replace(message=f"{outcome.message}; {why}")
         if outcome.status == "succeeded" and not message.verified:
             outcome = outcome._replace(message=f"{outcome.message}; commanded, not verified")
@@ -222,20 +224,25 @@ def outcome_of(manipulator: Manipulator, ended: Ended, measured: Measured, conte
     return GoalOutcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; {goal} missed: {message}")
 
 
-def why_not_as_planned(planned: PlanProof | None, improved: PlanProof | None, switches: int) -> str:
-    """Returns why a goal needed more or fewer switches than its answer said; "" if it needed as many.
+def why_not_as_planned(planned: PlanProof | None, improved: PlanProof | None, switches: int, homed: int) -> str:
+    """Returns what homing added, or why a goal needed more or fewer switches than its answer said; "" if neither.
 
     `planned` is the plan when the goal was accepted; None for a jog. `improved` is the present plan; None: unknown.
     """
-    if planned is None or planned.switches == switches:
+    if planned is None:
         return ""
+    told = planned.switches + homed
+    if switches == told:
+        return f"{switches} switches, {homed} of them to home actuators of unknown position" if homed else ""
     if improved != planned:
         why = "the plan was improved while the arm moved"
-    elif switches < planned.switches:
+    elif switches < told:
         why = "stages that were late were joined"
     else:
         why = "actuators that were not in their expected states were switched, too"
-    return f"{switches} switches instead of {planned.switches}: {why}"
+        if homed:
+            why = "pulses that were not confirmed were given again, or actuators were not in their expected states"
+    return f"{switches} switches instead of {told}{f', {homed} of them to home actuators' if homed else ''}: {why}"
 
 
 def result_of(

@@ -103,6 +103,7 @@ class Status:
             **self._measured[1],
             "commanded": None if state is None or not state.known else state.states.tolist(),
             "unread": [] if state is None else state.unread,
+            "homing": [] if state is None else state.homed_first,
             **(NO_GOAL if goal is None else goal.present(self._moment.wall - self._moment.now)),
             "obstacles": premises.obstacles.generation,
             "faults": [*map(msgspec.structs.asdict, by_code((*self._faults(), *self.warnings)).values())],

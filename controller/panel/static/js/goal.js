@@ -141,7 +141,8 @@ function withoutField(message) {
 function inBrief(plan) {
   if (!plan?.accepted) return "";
   const count = `${plan.switches} ${plan.switches === 1 ? "switch" : "switches"}`;
-  return plan.certificate === "optimal" ? `${count}, proven optimal` : count;
+  const homing = plan.homing?.length ? `${plan.homing.length} to home, then ` : "";
+  return homing + (plan.certificate === "optimal" ? `${count}, proven optimal` : count);
 }
 
 // The plan in words. The list of stages stays the same element, so that it stays open.
@@ -176,7 +177,9 @@ function planInNumbers(plan, waypoints) {
   const least = weighted ? `a cost of at least ${plan.lower_bound}` : `at least ${plan.lower_bound} switches`;
   const proof = plan.certificate === "bound" ? `proven: ${least}` : CERTIFICATES[plan.certificate];
   const excursion = Math.max(...waypoints.map((waypoint) => waypoint.excursion ?? 0));
-  return el("dl", {}, ...pair("switches", String(plan.switches)),
+  const homing = plan.homing ?? []; // actuators of unknown position, which are switched before the plan
+  return el("dl", {}, ...(homing.length ? pair("homing first", `${homing.length} more ${homing.length === 1 ? "switch" : "switches"}: ${homing.join(", ")}`) : []),
+    ...pair("switches", String(plan.switches)),
     ...(weighted ? pair("cost", number(plan.cost)) : []), ...pair("certificate", proof ?? plan.certificate),
     ...pair("error", number(Math.max(...waypoints.map((waypoint) => waypoint.error ?? 0)), 5)),
     ...pair("deviation", `${number(excursion)} on the way`));

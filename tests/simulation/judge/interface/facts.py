@@ -79,6 +79,7 @@ class Ran:
         given_up: whether the planner has refused it and canceled it.
         told_awake: awake time of the publication of its result [s].
         planned: switches that its answer told.
+        homed: switches before them that its answer told.
         replaced: whether the planner has sent other stages.
         places: mark of each waypoint, if straight lines are followed.
         deviations: of the transitions to its points, as a worker has told; None: not known.
@@ -116,6 +117,7 @@ class Ran:
     given_up: bool = False
     told_awake: float = math.inf
     planned: int | None = None
+    homed: int = 0
     replaced: bool = False
     deviations: tuple[float | None, ...] = ()
     places: dict[int, int] = field(default_factory=dict)

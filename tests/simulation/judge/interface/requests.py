@@ -35,8 +35,11 @@ RUNS = ("ready", "executing")
 REMEMBERED = 60.0  # [s] for which a goal with an attachment is recognized
 ENDED_LATELY = 7.0  # [s] after a result, in which a payload may still be recognized: the result waits for clients
 STAMPED_WITHIN = 0.1  # [s] from the check of a stamp to the acceptance by the executor
-UNCHECKED = r"(?:; collisions of the homing were not checked, because it is not known where (.*) (?:is|are))?"
-WORDS = re.compile(rf"accepted, (\d+) waypoints?, (\d+) switch(?:es)? planned{UNCHECKED}")
+HOMING = r"(?:; before them (?P<homed>\d+) switch(?:es)? homes? actuators of unknown position: .*?)?"
+UNCHECKED = (
+    r"(?:; collisions of the homing were not checked, because it is not known where (?P<unchecked>.*) (?:is|are))?"
+)
+WORDS = re.compile(rf"accepted, (\d+) waypoints?, (\d+) switch(?:es)? planned{HOMING}{UNCHECKED}")
 JOG_WORDS = re.compile(r"accepted, (\d+) switch(?:es)?: .*")
 ENDED_BY_CANCEL = {"canceled before it began": ("goal", "jog"), "the plan is canceled": ("plan",)}
 OBSTACLES = re.compile(r"(\d+) obstacles?, (\d+) of them sent.*", re.DOTALL)
@@ -179,7 +182,9 @@ class Requests:
         if jog:
             judge_jog(a, request, ran, text)
         else:
-            judge_homing(a, request, words[3], text)
+            ran.homed = int(words["homed"] or 0)
+            require(ran.homed == len(answer["homing"]), f"{text} counts other actuators than it names")
+            judge_homing(a, request, words["unchecked"], text)
 
     def _begins_in_order(self, request: Request, ran: Ran, text: str) -> None:
         """Judges when a goal or jog has begun, and after what."""

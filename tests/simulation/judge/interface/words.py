@@ -15,6 +15,7 @@ WHY = {
     "fewer": "stages that were late were joined",
     "improved": "the plan was improved while the arm moved",
 }
+AGAIN = "pulses that were not confirmed were given again, or actuators were not in their expected states"
 MISSED = re.compile(
     r"the measured tip is (?P<away>unknown|[\d.]+ from the last waypoint)(?: and turned (?P<turned>[\d.]+) rad)?,"
     r" tolerances? (?P<tolerance>[\d.e+-]+)(?: and (?P<angle>[\d.e+-]+))?"
@@ -78,9 +79,13 @@ class Words:
             return
         told, planned = payload["switches"], ran.planned
         which = ["improved"] if ran.replaced else []
-        which += [] if told == planned else ["more" if told > planned else "fewer"]
-        sentences = [f"reached; {told} switches instead of {planned}: {WHY[k]}" for k in which]
-        sentences = ["reached"] if told == planned else sentences
+        homed = ran.homed
+        which += [] if told == planned + homed else ["more" if told > planned + homed else "fewer"]
+        of_homing = f", {homed} of them to home actuators" if homed else ""
+        whys = WHY | {"more": AGAIN} if homed else WHY
+        sentences = [f"reached; {told} switches instead of {planned + homed}{of_homing}: {whys[k]}" for k in which]
+        if told == planned + homed:
+            sentences = [f"reached; {told} switches{of_homing} of unknown position" if homed else "reached"]
         require(message in sentences, f"{text} says none of {sentences}")
         as_told = payload["planned_switches"] == planned
         joined = payload["planned_switches"] is None or ran.replaced
