@@ -2,6 +2,7 @@
 
 from typing import Literal
 
+from hyperbit.controller.armfile.names import shortened
 from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, ErrorState
 from hyperbit.controller.armfile.terminals import bit_settings
 
@@ -24,7 +25,8 @@ def error_state(setting: ErrorState | None) -> Literal["off", "hold", "device"] 
 
 
 def check_error_states(settings: ArmSettings, faults: list[str]) -> None:
-    """Appends a fault for each actuator that cannot do what `on_loss` asks when its board does its `error_state`."""
+    """Appends a fault for each `error_state` with which actuators cannot do what `on_loss` asks, and names them."""
+    found: dict[tuple[str, str | None, str], list[str]] = {}
     boards = settings.boards
     nodes = {(node.bus, node.node): (k, node.error_state) for k, node in enumerate(boards.nodes)}
     for entry in settings.actuators:
@@ -35,7 +37,10 @@ def check_error_states(settings: ArmSettings, faults: list[str]) -> None:
         state = error_state(setting)
         why = contradiction(entry, entry.on_loss or boards.on_loss, state)
         if why is not None:
-            faults.append(f"{where}.error_state: {state}, but actuator {entry.module}.{entry.actuator} {why}")
+            found.setdefault((where, state, why), []).append(f"{entry.module}.{entry.actuator}")
+    for (where, state, why), labels in found.items():
+        who = f"actuator {labels[0]}" if len(labels) == 1 else f"each of the actuators {shortened(labels)}"
+        faults.append(f"{where}.error_state: {state}, but {who} {why}")
 
 
 def contradiction(entry: ActuatorSettings, on_loss: str, state: str | None) -> str | None:

@@ -49,8 +49,8 @@ Locks = Annotated[
 ]
 Wait = Annotated[bool, typer.Option("--wait/--no-wait", help="Wait for the result, or for the answer only.")]
 BOARD_KIND = "Kind of the simulated boards; see `simulate --help`."
-RATE = "Bit rate of the bus [bit/s]; ignored with socketcan, whose bit rate the system sets."
+OWN_RATE = "Bit rate of the bus [bit/s], 1,000,000 by default; not for socketcan, whose bit rate the system sets."
 BoardKinds = Annotated[list[str], typer.Option(metavar="[BOARD=]KIND", help=BOARD_KIND, show_default=False)]
 Channel = Annotated[str, typer.Argument(metavar="CHANNEL", help="The bus, such as can0.", show_default=False)]
 Interface = Annotated[str, typer.Option(help="Interface of python-can.")]
-Bitrate = Annotated[int, typer.Option(min=10_000, max=1_000_000, help=RATE)]
+Bitrate = Annotated[int | None, typer.Option(min=10_000, max=1_000_000, help=OWN_RATE, show_default=False)]

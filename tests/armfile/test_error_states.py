@@ -81,3 +81,13 @@ def test_a_whole_arm_of_plain_outputs_may_be_on_boards_that_switch_off(tmp_path:
     arm = loaded(tmp_path, with_boards(error_state=False, on_loss="contract"))
     assert arm.wiring.error_state == "off"
     assert all(board.loss_is_off for board in lay_out(arm.wiring).boards)
+
+
+def test_one_sentence_names_all_actuators_that_an_error_state_does_not_serve(tmp_path: Path) -> None:
+    value = with_node({}, error_state=None)
+    value["boards"] |= {"on_loss": "contract", "error_state": "device", "nodes": []}
+    with pytest.raises(InputFaults) as caught:
+        loaded(tmp_path, value)
+    [fault] = caught.value.faults
+    labels = ", ".join(f"{one['module']}.{one['actuator']}" for one in value["actuators"])
+    assert fault.startswith(f"boards.error_state: device, but each of the actuators {labels} is to contract (on_loss)")

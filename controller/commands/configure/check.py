@@ -147,10 +147,11 @@ def wrong_rates(arm: Arm) -> Iterator[tuple[BusSettings, str]]:
         command = ["ip", "-json", "-details", "link", "show", "dev", bus.channel]
         try:
             told = json.loads(subprocess.run(command, capture_output=True, timeout=ATTEMPT).stdout)
-            rate = told[0]["linkinfo"]["info_data"]["bittiming"]["bitrate"]
+            info = told[0]["linkinfo"]["info_data"]
+            rate = info["bittiming"]["bitrate"] if "bittiming" in info else info["bittiming_bitrate"]
         except (OSError, ValueError, LookupError, TypeError, subprocess.TimeoutExpired):
             continue  # no CAN interface of its own, or this computer cannot tell
-        if rate != bus.bitrate:
+        if rate and rate != bus.bitrate:
             where = f"/etc/systemd/network/80-{bus.channel}.network"
             yield bus, f"{bus.channel} has {rate} bit/s, the arm's file {bus.bitrate}: change {where} or the file"
 

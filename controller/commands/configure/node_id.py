@@ -10,7 +10,7 @@ import typer
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands.arguments import AsJson, Bitrate, Channel, Interface
 from hyperbit.controller.commands.common import CommandFailed, print_json
-from hyperbit.controller.commands.configure.probe import session_on
+from hyperbit.controller.commands.configure.probe import command_for_rate, session_on
 from hyperbit.drivers.canopen.tools.lss import BIT_TIMINGS, Lss, LssIdentity, LssRefused
 from hyperbit.drivers.canopen.tools.probe import probe_bus
 from hyperbit.drivers.canopen.wiring import MASTER
@@ -28,7 +28,7 @@ def node_id(
     board: Annotated[str | None, typer.Option(help=BOARD, show_default=False)] = None,
     list_: Annotated[bool, typer.Option("--list", help=UNCONFIGURED)] = False,
     interface: Interface = "socketcan",
-    bitrate: Bitrate = 1_000_000,
+    bitrate: Bitrate = None,
     as_json: AsJson = False,
 ) -> None:
     """Set and store a board's node id and bit rate by LSS; they apply from the next power-on.
@@ -65,9 +65,12 @@ def node_id(
     stored += [] if new_bitrate is None else [f"{new_bitrate} bit/s"]
     typer.echo(f"board {selected}: stored {' and '.join(stored)}")
     named = interface != "socketcan"
-    rate = f" --bitrate {new_bitrate or bitrate}" if new_bitrate or named else ""
-    where = f" --interface {interface}" if named else ""
-    typer.echo(f"switch its supply off and on, then: hyperbit probe {channel}{rate}{where}")
+    rate = new_bitrate or bitrate
+    if rate and not named:
+        typer.echo(f"switch its supply off and on, and the bus to its bit rate: {command_for_rate(channel, rate)}")
+    more = (f" --bitrate {rate}" if rate else "") + f" --interface {interface}" if named else ""
+    first = "then" if rate and not named else "switch its supply off and on, then"
+    typer.echo(f"{first}: hyperbit probe {channel}{more}")
 
 
 def check_options(node: int | None, bitrate: int | None, *, list_: bool) -> None:

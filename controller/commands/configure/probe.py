@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
+from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import common
 from hyperbit.controller.commands.arguments import AsJson, Bitrate, Channel, Interface
 from hyperbit.controller.commands.common import CommandFailed, print_json
@@ -27,7 +29,7 @@ LOST = {0: "pre-operational", 1: "no change", 2: "stopped"}  # 1029h sub 1
 def probe(
     channel: Channel,
     interface: Interface = "socketcan",
-    bitrate: Bitrate = 1_000_000,
+    bitrate: Bitrate = None,
     as_json: AsJson = False,
 ) -> None:
     """Find the nodes of a CAN bus and print their identity, mapping and settings; writes nothing.
@@ -51,9 +53,12 @@ def probe(
 
 
 @contextlib.contextmanager
-def session_on(channel: str, interface: str, bitrate: int) -> Iterator[Session]:
+def session_on(channel: str, interface: str, bitrate: int | None) -> Iterator[Session]:
+    if interface == "socketcan" and bitrate is not None:
+        advice = f"SocketCAN has the bit rate of the interface. Set it there: {command_for_rate(channel, bitrate)}"
+        raise InputFaults(Path("--bitrate"), [advice])
     try:
-        bus = BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate)
+        bus = BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate or 1_000_000)
         with session_without_executor([bus]) as session:
             yield session
     except CommandFailed as error:
@@ -61,6 +66,10 @@ def session_on(channel: str, interface: str, bitrate: int) -> Iterator[Session]:
             raise
         advice = f"check that {channel} is up and that its --interface is {interface}"
         raise CommandFailed(str(error), advice) from None
+
+
+def command_for_rate(channel: str, bitrate: int) -> str:
+    return f"sudo ip link set {channel} down && sudo ip link set {channel} up type can bitrate {bitrate}"
 
 
 def rows(it: ProbedNode, channel: str) -> Iterable[tuple[str, str]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import logging
 import socket
 import struct
 import time
@@ -15,6 +16,9 @@ from hyperbit.drivers.canopen.faults import BusError
 from hyperbit.drivers.canopen.wire.cia301 import BUS_OFF, REMOTE, RESTARTED, Frame, wire_bits
 from hyperbit.drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
 from hyperbit.drivers.canopen.wiring import BusWiring
+
+# python-can logs each failed attempt to open an interface, and raises it too. The daemon tells it once.
+logging.getLogger("can").setLevel(logging.CRITICAL)
 
 _MOST_EVENTS = 256  # in one poll, so that a flood does not block the caller
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 1.0  # [s] between attempts to open the bus again

@@ -75,6 +75,12 @@ def test_a_stopped_node_is_said_to_be_stopped(hyperbit, boards, brief_listening)
     assert f"board {CHANNEL}/9 is stopped, as after the end of an executor" in out
 
 
+def test_a_bit_rate_that_socketcan_would_ignore_is_refused(hyperbit):
+    code, out, err = hyperbit("probe", "can0", "--bitrate", "250000")
+    assert (code, out) == (2, "")
+    assert "sudo ip link set can0 up type can bitrate 250000" in " ".join(err.split())
+
+
 def test_a_bus_without_nodes_fails_in_words(hyperbit, brief_listening):
     code, out, err = hyperbit("probe", "test_nobody", "--interface", "virtual")
     assert (code, out) == (1, "")

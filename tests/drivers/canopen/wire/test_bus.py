@@ -174,3 +174,11 @@ def test_a_closed_bus_says_so():
     bus.close()
     assert [event.state for event in bus.poll()] == ["closed"]
     assert bus.send_frame(FRAME) is not None
+
+
+def test_an_interface_that_is_gone_is_told_by_events_alone(caplog):
+    bus = CanBus(BusWiring("can0", "socketcan", "none9"))
+    bus._closed = False
+    with caplog.at_level("DEBUG"):
+        assert [event.state for event in bus.poll()] == ["down"]
+    assert [record for record in caplog.records if record.name.startswith("can")] == []
