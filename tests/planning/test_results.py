@@ -225,18 +225,26 @@ def test_a_cancel_of_a_waiting_goal_lets_the_running_one_go_on(desk: Desk) -> No
 
 
 @pytest.mark.parametrize(
-    ("planned", "improved", "switches", "sentence"),
+    ("planned", "improved", "switches", "homed", "sentence"),
     [
-        (10, 10, 10, ""),
-        (None, None, 3, ""),
-        (10, 9, 9, "9 switches instead of 10: the plan was improved while the arm moved"),
-        (10, None, 9, "9 switches instead of 10: the plan was improved while the arm moved"),
-        (10, 10, 8, "8 switches instead of 10: stages that were late were joined"),
-        (10, 10, 12, "12 switches instead of 10: actuators that were not in their expected states were switched, too"),
+        (10, 10, 10, 0, ""),
+        (None, None, 3, 0, ""),
+        (10, 9, 9, 0, "9 switches instead of 10: the plan was improved while the arm moved"),
+        (10, None, 9, 0, "9 switches instead of 10: the plan was improved while the arm moved"),
+        (10, 10, 8, 0, "8 switches instead of 10: stages that were late were joined"),
+        (
+            10,
+            10,
+            12,
+            0,
+            "12 switches instead of 10: actuators that were not in their expected states were switched, too",
+        ),
+        (10, 10, 34, 24, "34 switches, 24 of them to home actuators of unknown position"),
+        (10, 10, 9, 1, "9 switches instead of 11, 1 of them to home actuators: stages that were late were joined"),
     ],
 )
 def test_a_result_tells_why_its_switches_are_not_those_of_the_answer(
-    planned: int | None, improved: int | None, switches: int, sentence: str
+    planned: int | None, improved: int | None, switches: int, homed: int, sentence: str
 ) -> None:
     first, last = (None if n is None else PlanProof(n, float(n), 0.0, "unknown") for n in (planned, improved))
-    assert why_not_as_planned(first, last, switches) == sentence
+    assert why_not_as_planned(first, last, switches, homed) == sentence
