@@ -38,9 +38,9 @@ def check_error_states(settings: ArmSettings, faults: list[str]) -> None:
         why = contradiction(entry, entry.on_loss or boards.on_loss, state)
         if why is not None:
             found.setdefault((where, state, why), []).append(f"{entry.module}.{entry.actuator}")
-    for (where, state, why), labels in found.items():
+    for (where, told, why), labels in found.items():
         who = f"actuator {labels[0]}" if len(labels) == 1 else f"each of the actuators {shortened(labels)}"
-        faults.append(f"{where}.error_state: {state}, but {who} {why}")
+        faults.append(f"{where}.error_state: {told}, but {who} {why}")
 
 
 def contradiction(entry: ActuatorSettings, on_loss: str, state: str | None) -> str | None:
