@@ -16,6 +16,7 @@ from hyperbit.controller.armfile.settings import (
     TransformsSettings,
 )
 from hyperbit.controller.armfile.strict import fault_list
+from hyperbit.controller.armfile.terminals import actuator_bits
 from hyperbit.controller.manipulator.module import Module
 
 BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)  # of CiA 301 [bit/s]
@@ -31,6 +32,7 @@ def file_warnings(arm: Arm) -> list[str]:
         *length_warnings(arm),
         *angle_warnings(arm.settings),
         *pulse_warnings(arm.settings),
+        *island_warnings(arm.settings),
         *bit_rate_warnings(arm.settings),
     ]
     if arm.path is None or not found:
@@ -124,6 +126,24 @@ def pulse_warnings(settings: ArmSettings) -> list[str]:
         if entry.pulse is not None and entry.pulse > longest:
             text = f"{entry.pulse:g} s, but the actuator travels for {longest:g} s at most"
             found.append(f"actuators[{k}].pulse: {text}; check pulse and travel_time")
+    return found
+
+
+def island_warnings(settings: ArmSettings) -> list[str]:
+    """Returns a warning for each valve of an island whose outputs are not those of one place, an even and the next."""
+    islands, found = {(it.bus, it.node) for it in settings.boards.nodes if it.island}, list[str]()
+    for k, entry in enumerate(settings.actuators):
+        if (entry.bus, entry.node) not in islands:
+            continue
+        bits = {name: bit.bit for name, bit in actuator_bits(entry).items() if name.startswith("output")}
+        even = bits["output"] & ~1
+        place = f"the place of outputs {even} and {even + 1} of the island {entry.bus}/{entry.node}"
+        if "output_off" not in bits and bits["output"] != even:
+            text = f"{bits['output']} is the second solenoid of {place}; a valve with one solenoid has the even output"
+            found.append(f"actuators[{k}].output: {text}, {even}")
+        elif "output_off" in bits and bits["output_off"] & ~1 != even:
+            text = f"{bits['output_off']} is not in {place}, where output {bits['output']} is; a valve has one place"
+            found.append(f"actuators[{k}].output_off: {text}")
     return found
 
 

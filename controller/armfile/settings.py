@@ -176,7 +176,10 @@ class BusSettings(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class NodeSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """One board: its identity by 1018h, its outputs, their state without the master, and whether they are read back."""
+    """One board: its identity by 1018h, its outputs, their state without the master, and whether they are read back.
+
+    An `island` has two outputs for each valve, an even one and the next.
+    """
 
     bus: str
     node: Node
@@ -187,6 +190,7 @@ class NodeSettings(Struct, forbid_unknown_fields=True, frozen=True):
     serial: Word | None = None
     error_state: ErrorState | None = None
     verify: bool = True
+    island: bool = False
 
 
 class BoardSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -243,11 +247,14 @@ class TravelSettings(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class InterlockSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """An input that must read 1 during motion, such as an emergency stop; 0 if `inverted`."""
+    """An input, or a bit of an object, that must read 1 during motion, such as an emergency stop; 0 if `inverted`."""
 
     bus: str
     node: Node
-    input: Bit
+    input: Bit | None = None
+    object: Annotated[int, Meta(ge=0, le=0xFFFF)] | None = None
+    sub: Annotated[int, Meta(ge=0, le=254)] = 0
+    bit: Annotated[int, Meta(ge=0, le=31)] | None = None
     inverted: bool = False
 
 

@@ -4,10 +4,18 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, BitSettings, InputSettings
+from hyperbit.controller.armfile.settings import (
+    ActuatorSettings,
+    ArmSettings,
+    BitSettings,
+    InputSettings,
+    InterlockSettings,
+)
 
 BOARD = re.compile(r"([A-Za-z0-9_-]{1,64})/([1-9][0-9]{0,2})")
 GREATEST_NODE = 126  # 127 is the master's
+INPUT_WIDTHS = {0x6000: 8, 0x6020: 1, 0x6100: 16, 0x6120: 32}  # bits of a sub-index of the inputs (CiA 401)
+WATCHED = {0x1001, 0x1002, *range(0x2000, 0xA000)}  # objects of which an interlock may be a bit
 
 
 class Terminal(NamedTuple):
@@ -82,8 +90,15 @@ def owned_terminals(settings: ArmSettings) -> Iterator[Owned]:
         for terminal in actuator_terminals(entry):
             yield Owned(f"actuators[{k}].{terminal.field}", f"{entry.module}.{entry.actuator}", terminal)
     for name, lock in settings.interlocks.items():
-        terminal = Terminal("input", lock.bus, lock.node, lock.input, lock.inverted)
-        yield Owned(f"interlocks.{name}.input", f"interlock {name}", terminal)
+        if (bit := interlock_bit(lock)) is not None:
+            kind = "input" if lock.object is None else f"{lock.object:04X}h sub {lock.sub} bit"
+            path = f"interlocks.{name}.{'input' if lock.object is None else 'bit'}"
+            yield Owned(path, f"interlock {name}", Terminal(kind, lock.bus, lock.node, bit, lock.inverted))
+
+
+def interlock_bit(lock: InterlockSettings) -> int | None:
+    """Returns the bit of an interlock; None if the file lacks it."""
+    return lock.input if lock.object is None else lock.bit
 
 
 def named_boards(settings: ArmSettings) -> set[tuple[str, int]]:
@@ -103,12 +118,39 @@ def check_terminals(settings: ArmSettings, faults: list[str]) -> None:
     for name, lock in settings.interlocks.items():
         if lock.bus not in buses:
             faults.append(f"interlocks.{name}.bus: {no_bus(lock.bus, buses)}")
+        faults += [f"interlocks.{name}{fault}" for fault in interlock_faults(lock)]
     taken: dict[tuple[str, str, int, int], str] = {}
     for path, owner, it in owned_terminals(settings):
         where = (it.kind, it.bus, it.node, it.bit)
         if where in taken:
             faults.append(f"{path}: {it.kind} {it.bit} of {it.bus}/{it.node} is {taken[where]}'s already")
         taken.setdefault(where, owner)
+
+
+def interlock_faults(lock: InterlockSettings) -> Iterator[str]:
+    """Yields the faults of the bit of an interlock, each with its field: ".object: ..."."""
+    index = lock.object
+    if index is None:
+        if lock.bit is not None or lock.sub:
+            yield f".{'sub' if lock.bit is None else 'bit'}: without `object`; needed is, for example, object: 0x2102"
+        elif lock.input is None:
+            yield ": neither input nor object; needed is, for example, input: 3, or object: 0x2102, sub: 0, bit: 0"
+        return
+    if lock.input is not None:
+        yield f".input: {lock.input}, but {index:#06x} is given, too; an interlock is an input or a bit of an object"
+    if lock.bit is None:
+        yield ".bit: required with `object`, from 0 to 31"
+    if index in INPUT_WIDTHS:
+        bit = (lock.sub - 1) * INPUT_WIDTHS[index] + (lock.bit or 0)
+        yield f".object: {index:#06x} has the inputs of the board; needed is input: {max(bit, 0)} in place of it"
+    elif index not in WATCHED:
+        read = f"{index}"  # the hexadecimal number without its 0x
+        hint = f"; did you mean 0x{read}?" if int(read, 16) in WATCHED else ""
+        yield f".object: {index:#06x}, but 0x1001, 0x1002 or an object from 0x2000 to 0x9fff is needed{hint}"
+    elif index < 0x2000 and (lock.sub or (lock.bit or 0) > (7 if index == 0x1001 else 31)):
+        yield f".{'sub' if lock.sub else 'bit'}: {index:04X}h has sub 0 only, with 8 bits in 1001h and 32 in 1002h"
+    elif index == 0x1001 and not lock.inverted:
+        yield ".inverted: false, but the bits of 1001h (error register) are 1 in an error; needed is inverted: true"
 
 
 def no_bus(name: str, buses: Sequence[str]) -> str:

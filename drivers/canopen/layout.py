@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from hyperbit.drivers.canopen.pdo import INPUTS, Bit, Pdo, subs_of, union
+from hyperbit.drivers.canopen.pdo import FIRST_WATCHED, INPUTS, WATCHED_BITS, Bit, Pdo, subs_of, union
 from hyperbit.drivers.canopen.status import Traffic
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import wire_bits
-from hyperbit.drivers.canopen.wiring import BoardId, BoardLine, BusWiring, NodeWiring, Timing, Wiring
+from hyperbit.drivers.canopen.wiring import BoardId, BoardLine, BusWiring, NodeWiring, Timing, WatchedObject, Wiring
 
 _PDO_BYTES = 8
 MOST_BYTES = 4 * _PDO_BYTES  # of one board and direction: four COB-IDs contain its node id
@@ -19,7 +19,8 @@ MOST_BYTES = 4 * _PDO_BYTES  # of one board and direction: four COB-IDs contain 
 class BoardLayout:
     settings: NodeWiring  # its entry in the arm's file, or defaults
     outputs: tuple[Bit, ...]  # lines with their bits of 6200h or of the maker's object
-    inputs: tuple[Bit, ...]  # lines with their bits of 6000h
+    inputs: tuple[Bit, ...]  # lines with their bits of 6000h and of watched objects
+    watched: tuple[WatchedObject, ...]  # objects with bits of interlocks
     rpdos: tuple[Pdo, ...]
     tpdos: tuple[Pdo, ...]
     shared: bool  # other boards share its RPDO
@@ -55,7 +56,12 @@ class BoardLayout:
 
     @property
     def input_bits(self) -> int:
-        return sum(bit.place for bit in self.inputs)
+        """The bits of 6000h."""
+        return sum(bit.place for bit in self.inputs) & (1 << FIRST_WATCHED) - 1
+
+    def watched_bits(self, k: int) -> int:
+        """Returns the used bits of the watched object k."""
+        return sum(bit.place for bit in self.inputs) >> FIRST_WATCHED + WATCHED_BITS * k & (1 << WATCHED_BITS) - 1
 
     @property
     def loss_is_off(self) -> bool:
@@ -81,7 +87,8 @@ class Unfit(ValueError):
 
 def lay_out(wiring: Wiring) -> Layout:
     """Assigns the boards' bits to PDOs. Raises Unfit if a board's outputs or inputs do not fit in four PDOs."""
-    outputs, inputs = _by_board(wiring.output_lines), _by_board(wiring.input_lines)
+    watched = _watched(wiring)
+    outputs, inputs = _by_board(wiring.output_lines, {}), _by_board(wiring.input_lines, watched)
     objects = {BoardId(node.bus, node.node): node for node in wiring.nodes}
     groups = _groups({place: outputs[place] for place in wiring.boards if place in outputs}, wiring.shared_rpdo)
     actuators = _actuators(wiring)
@@ -103,8 +110,11 @@ def lay_out(wiring: Wiring) -> Layout:
                 settings=settings,
                 outputs=out,
                 inputs=into,
+                watched=tuple(watched.get(place, ())),
                 rpdos=rpdos or _pdos(place, 0x1400, cia301.RPDO1, settings.object, bits),
-                tpdos=_pdos(place, 0x1800, cia301.TPDO1, INPUTS, tuple(bit.place for bit in into)),
+                tpdos=_pdos(
+                    place, 0x1800, cia301.TPDO1, INPUTS, tuple(b.place for b in into if not b.place >> FIRST_WATCHED)
+                ),
                 shared=len(group) > 1,
                 actuators=actuators.get(place, 0),
                 sensed=sum(bit.line for bit in out) & sensed,
@@ -139,11 +149,25 @@ def _pairs(wiring: Wiring, place: BoardId) -> tuple[tuple[int, int], ...]:
     return tuple((1 << lines["output"].bit, 1 << lines["output_off"].bit) for lines in here)
 
 
-def _by_board(lines: Iterable[BoardLine | None]) -> dict[BoardId, list[Bit]]:
+def _watched(wiring: Wiring) -> dict[BoardId, list[WatchedObject]]:
+    found: dict[BoardId, dict[WatchedObject, None]] = {}
+    for lock in wiring.interlocks:
+        if lock.watched is not None:
+            found.setdefault(lock.line.board, {})[lock.watched] = None
+    return {board: list(objects) for board, objects in found.items()}
+
+
+def _by_board(
+    lines: Iterable[BoardLine | None], watched: Mapping[BoardId, list[WatchedObject]]
+) -> dict[BoardId, list[Bit]]:
     found: dict[BoardId, list[Bit]] = {}
     for k, line in enumerate(lines):
-        if line is not None:
-            found.setdefault(line.board, []).append(Bit(1 << k, 1 << line.bit, line.inverted))
+        if line is None:
+            continue
+        first = 0
+        if line.watched is not None:
+            first = FIRST_WATCHED + WATCHED_BITS * watched[line.board].index(line.watched)
+        found.setdefault(line.board, []).append(Bit(1 << k, 1 << first + line.bit, line.inverted))
     return found
 
 
@@ -200,5 +224,5 @@ def worst_case(layout: Layout, timing: Timing, bus: BusWiring) -> Traffic:
     rpdos = commits * sum(wire_bits(size) for size in frames.values())
     sync = commits * wire_bits(0) if frames else 0.0
     greatest = {board.name: max((pdo.size for pdo in board.tpdos), default=0) for board in boards}
-    tpdos = commits * sum(len(board.inputs) * wire_bits(greatest[board.name]) for board in boards)
+    tpdos = commits * sum(board.input_bits.bit_count() * wire_bits(greatest[board.name]) for board in boards)
     return Traffic(heartbeats, sync, rpdos, tpdos, (heartbeats + sync + rpdos + tpdos) / bus.bitrate)

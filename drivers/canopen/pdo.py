@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+from hyperbit.drivers.canopen.wiring import WatchedObject
+
 OUTPUTS, INPUTS = 0x6200, 0x6000  # arrays of bytes (CiA 401)
+# The number of a board's inputs has the bits of 6000h, and from this bit on those of its watched objects.
+FIRST_WATCHED, WATCHED_BITS = 254 * 8, 32
 
 
 class Pdo(NamedTuple):
@@ -36,10 +40,10 @@ class Bit(NamedTuple):
     inverted: bool
 
 
-def carries(mapping: Iterable[int], base: int) -> list[Carried]:
+def carries(mapping: Iterable[int], base: int, watched: Sequence[WatchedObject] = ()) -> list[Carried]:
     """Returns the bits of a board that a mapping carries; `base` is 6200h, 6000h or a maker's object.
 
-    CiA 401 offers the same bits as bytes, single bits, words and double words.
+    CiA 401 offers the same bits as bytes, single bits, words and double words. `watched` objects count, too.
     """
     widths = {base: 8}
     if base in (OUTPUTS, INPUTS):
@@ -49,12 +53,15 @@ def carries(mapping: Iterable[int], base: int) -> list[Carried]:
         index, sub, count = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
         if widths.get(index) == count and sub > 0:
             carried.append(Carried((sub - 1) * count, place, count))
+        elif (index, sub) in watched:
+            first = FIRST_WATCHED + WATCHED_BITS * watched.index(WatchedObject(index, sub))
+            carried.append(Carried(first, place, min(count, WATCHED_BITS)))
         place += count
     return carried
 
 
-def carried_bits(pdos: Iterable[Pdo], base: int) -> int:
-    return union(((1 << c.width) - 1) << c.bit for pdo in pdos for c in carries(pdo.mapping, base))
+def carried_bits(pdos: Iterable[Pdo], base: int, watched: Sequence[WatchedObject] = ()) -> int:
+    return union(((1 << c.width) - 1) << c.bit for pdo in pdos for c in carries(pdo.mapping, base, watched))
 
 
 def subs_of(bits: int) -> tuple[int, ...]:

@@ -36,11 +36,22 @@ class BoardId(NamedTuple):
         return f"{self.bus}/{self.node}"
 
 
+class WatchedObject(NamedTuple):
+    """An object of a board other than its outputs and inputs."""
+
+    object: int  # index
+    sub: int
+
+    def __str__(self) -> str:
+        return f"{self.object:04X}h sub {self.sub}"
+
+
 class BoardLine(NamedTuple):
     bus: str
     node: int
-    bit: int  # of 6200h or 6000h
+    bit: int  # of 6200h or 6000h, or of `watched`
     inverted: bool = False  # electrically 0 while its level is 1
+    watched: WatchedObject | None = None  # has the bit of an interlock; None: 6000h has it
 
     @property
     def board(self) -> BoardId:
@@ -108,17 +119,23 @@ class Channel:
 
 @dataclass(frozen=True)
 class Interlock:
-    """An input that must be closed, level 1, while anything moves: emergency stop, air pressure, guard door."""
+    """A bit that must be closed, level 1, while anything moves: emergency stop, air pressure, supply of the valves."""
 
     name: str  # for messages
     bus: str
     node: int
-    input: int  # bit of 6000h
+    bit: int  # of 6000h, or of `watched`
     inverted: bool = False  # the bit is 0 while the interlock is closed
+    watched: WatchedObject | None = None  # None: 6000h
 
     @property
     def line(self) -> BoardLine:
-        return BoardLine(self.bus, self.node, self.input, self.inverted)
+        return BoardLine(self.bus, self.node, self.bit, self.inverted, self.watched)
+
+    @property
+    def place(self) -> str:
+        """Its bit for messages, e.g. "can0/9 input 3" or "can0/5 2102h sub 0 bit 0"."""
+        return f"{self.bus}/{self.node} " + (f"{self.watched} bit" if self.watched else "input") + f" {self.bit}"
 
 
 @dataclass(frozen=True)
@@ -158,7 +175,7 @@ class Wiring:
     shared_rpdo: bool = False  # boards of a bus share frames of up to 8 output bytes (dummy mapping, CiA 301, 7.4.7)
     error_state: ErrorState | None = None
     nodes: tuple[NodeWiring, ...] = ()  # further settings of single boards
-    interlocks: tuple[Interlock, ...] = ()  # inputs that must be closed while anything moves
+    interlocks: tuple[Interlock, ...] = ()  # bits that must be closed while anything moves
 
     def __post_init__(self) -> None:
         names = [bus.name for bus in self.buses]
@@ -175,7 +192,8 @@ class Wiring:
         _refuse_duplicates("actuator", [c.actuator for c in self.channels])
         _refuse_duplicates("interlock", [lock.name for lock in self.interlocks])
         _refuse_duplicates("output", [f"{c.bus}/{c.node} output {c.bit}" for c in self.output_lines])
-        _refuse_duplicates("input", [f"{c.bus}/{c.node} input {c.bit}" for c in self.input_lines if c is not None])
+        ends = [f"{c.bus}/{c.node} input {c.bit}" for c in self.input_lines if c is not None and c.watched is None]
+        _refuse_duplicates("input", ends + [lock.place for lock in self.interlocks if lock.watched is not None])
         for node in self.nodes:
             if node.bus not in names:
                 raise ValueError(f"board {node.bus}/{node.node}: bus {node.bus} is not one of {', '.join(names)}")

@@ -8,7 +8,7 @@ from functools import partial
 
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
-from hyperbit.drivers.canopen.wiring import LINES, BoardId, Channel, Timing, Wiring
+from hyperbit.drivers.canopen.wiring import LINES, BoardId, Channel, NodeWiring, Timing, Wiring
 from hyperbit.drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
 from hyperbit.drivers.simulation.firmware import SimulatedBoard, Wired
 from hyperbit.drivers.simulation.variants import STANDARD, Variant, as_wired
@@ -52,14 +52,15 @@ class SimulatedBuses:
         listed = {(entry.bus, entry.node): entry for entry in wiring.nodes}
         for (bus, node), here in wire(wiring, self.actuators).items():
             variant = (variants or {}).get(f"{bus}/{node}", STANDARD)
-            if (bus, node) in listed:
-                variant = as_wired(variant, listed[bus, node], wiring.error_state)
+            entry = listed.get((bus, node), NodeWiring(bus, node, object=variant.output_object))
+            locks = [lock for lock in wiring.interlocks if lock.line.board == (bus, node)]
+            variant = as_wired(variant, entry, wiring.error_state, locks)
             board = SimulatedBoard(node, here, partial(self._send, bus), variant)
             self._boards[bus][node] = self.by_name[f"{bus}/{node}"] = board
         for name in variants or {}:
             self.board(name)
         for lock in wiring.interlocks:
-            self._boards[lock.bus][lock.node].contacts[lock.input] = 1 ^ lock.inverted
+            self._boards[lock.bus][lock.node].set_level(lock.watched, lock.bit, 1 ^ lock.inverted)
         self._due = dict.fromkeys(self.by_name.values(), 0.0)
 
     def receive(self, bus: str, frame: Frame, now: float) -> None:
@@ -196,7 +197,7 @@ class SimulatedBuses:
     def _set_interlock(self, name: str, level: int) -> None:
         lock = self._interlocks[name]
         board = self._boards[lock.bus][lock.node]
-        board.contacts[lock.input] = level ^ lock.inverted
+        board.set_level(lock.watched, lock.bit, level ^ lock.inverted)
         board.step(self._now)
         self._due[board] = board.timer
 

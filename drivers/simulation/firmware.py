@@ -12,6 +12,7 @@ from canopen.sdo.server import SdoServer
 
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Command, State
+from hyperbit.drivers.canopen.wiring import WatchedObject
 from hyperbit.drivers.simulation import lss
 from hyperbit.drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
 from hyperbit.drivers.simulation.emergencies import Emergencies
@@ -23,7 +24,8 @@ from hyperbit.drivers.simulation.supervision import Supervision
 from hyperbit.drivers.simulation.variants import STANDARD, Variant
 
 _MASTER_LOST, _SYNC_LOST = 0x8130, 0x8100
-_EMERGENCY, _INPUTS = 0x1014, 0x6000
+_EMERGENCY, _INPUTS, _ERROR_REGISTER = 0x1014, 0x6000, 0x1001
+_MAKERS_ERROR = 0xFF00  # error code
 _PDO_PARAMETERS = range(0x1400, 0x1C00)
 _MOST_SEGMENTS, _OUT_OF_MEMORY = 64, 0x0504_0005  # most bytes of a segmented write, and the abort code above
 _MOST_REQUESTS = 8  # SDO requests that wait in a board that answers slowly
@@ -59,6 +61,7 @@ class SimulatedBoard:
         self.state: State | None = None  # NMT state; None without power, and while it starts
         # levels of inputs other than end-stops, by bit; changes take effect at the next `step`
         self.contacts: dict[int, int] = {}
+        self.supplies: dict[WatchedObject, int] = {}  # values of objects that tell of something outside, likewise
         self.silent = False  # whether it is disconnected from the bus
         self.ignored = 0  # number of frames that were not understood
         # levels of the pins before and after each START that made it operational
@@ -111,6 +114,17 @@ class SimulatedBoard:
     @property
     def powered(self) -> bool:
         return self.state is not None or self._boots_at < math.inf
+
+    def set_level(self, it: WatchedObject | None, bit: int, level: int) -> None:
+        """Sets a bit of an object, or of the inputs, 6000h, if `it` is None. Of 1001h it begins or ends an error."""
+        if it is None:
+            self.contacts[bit] = level
+        elif it.object != _ERROR_REGISTER:
+            self.supplies[it] = self.supplies.get(it, 0) & ~(1 << bit) | level << bit
+        elif level:
+            self.emergencies.report(_MAKERS_ERROR + bit, 1 << bit)
+        else:
+            self.emergencies.recover(_MAKERS_ERROR + bit)
 
     def lose_tpdo(self) -> None:
         self.pdos.losing += 1
@@ -288,6 +302,9 @@ class SimulatedBoard:
             self._read_inputs()
 
     def _read_inputs(self) -> None:
+        for it, value in self.supplies.items():
+            if (entry := self.objects.described.get(it.object, {}).get(it.sub)) is not None:
+                self.objects.set_number(*it, value & (1 << 8 * entry.size) - 1)
         before, self.inputs = self.inputs, self._sense()
         if self.inputs == before:
             return

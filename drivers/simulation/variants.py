@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
-from hyperbit.drivers.canopen.wiring import NodeWiring
+from hyperbit.drivers.canopen.wiring import Interlock, NodeWiring
 from hyperbit.drivers.simulation import dictionary
-from hyperbit.drivers.simulation.dictionary import Changes, array, number, pdo
+from hyperbit.drivers.simulation.dictionary import Changes, Object, array, number, pdo
 
 _DISABLED = 1 << 31  # of a PDO's COB-ID
 _NO_REMOTE = 1 << 30
@@ -228,6 +228,18 @@ VARIANTS: Mapping[str, Variant] = {
         absent=frozenset({0x1003}),
         keeps_loss=True,
     ),
+    "valve-supply": Variant(
+        "bit 0 of 2102h is the supply of the valves, in no PDO and without an emergency",
+        changes={(0x2102, 0): number(1, writable=False)},
+    ),
+    "mapped-supply": Variant(
+        "bit 0 of 2102h is the supply of the valves, in TPDO2 every 100 ms",
+        changes={
+            (0x2102, 0): number(1, writable=False, mappable=True),
+            **pdo(0x1801, _NO_REMOTE | 0x280, [0x2102_0008], fixed=True),
+        },
+        stored={(0x1801, 5): 100},
+    ),
     "inverted-outputs": Variant(
         "an inverted polarity is stored: 6202h = FFh", stored={(0x6202, sub): 0xFF for sub in range(1, 9)}
     ),
@@ -240,19 +252,32 @@ VARIANTS: Mapping[str, Variant] = {
 }
 
 
-def as_wired(variant: Variant, node: NodeWiring, error_state: str | None) -> Variant:
+def as_wired(variant: Variant, node: NodeWiring, error_state: str | None, locks: Iterable[Interlock]) -> Variant:
     """Returns a board with the identity and the object of its outputs that its entry in the arm's file asks for.
+
+    Objects of interlocks are added as the least that their bits need: read-only, and in no PDO.
 
     Args:
         variant: of the board.
         node: the entry.
         error_state: of boards whose entry has none.
+        locks: interlocks on the board.
     """
     if variant is STANDARD and node.object != variant.output_object:
         variant = _maker_object(node.object, "hold" if (node.error_state or error_state) == "hold" else "off")
     identity = enumerate((node.vendor, node.product, node.revision, node.serial), 1)
     own = {(0x1018, sub): value for sub, value in identity if value is not None}
-    return replace(variant, stored={**variant.stored, **own}) if own else variant
+    bits = {lock.watched: 0 for lock in locks if lock.watched and lock.watched.object not in variant.absent}
+    bits = {
+        it: max(lock.bit for lock in locks if lock.watched == it) for it in bits if it.object not in variant.objects
+    }
+    more: dict[tuple[int, int], Object] = {}
+    for it, bit in bits.items():
+        more |= {(it.object, 0): number(1, 254, writable=False)} if it.sub and (it.object, 0) not in more else {}
+        more[it] = number(4 if bit > 15 else 2 if bit > 7 else 1, writable=False)
+    if not (own or more):
+        return variant
+    return replace(variant, stored={**variant.stored, **own}, changes={**variant.changes, **more})
 
 
 def choose(words: Iterable[str], boards: Iterable[str]) -> dict[str, Variant]:

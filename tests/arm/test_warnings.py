@@ -75,6 +75,25 @@ def test_a_pulse_is_compared_with_the_time_of_its_own_actuator(read):
     assert file_warnings(read(value)) == []
 
 
+@pytest.mark.parametrize(
+    ("island", "bits", "warning"),
+    [
+        (True, {"output": 4}, None),
+        (False, {"output": 5}, None),
+        (True, {"output": 5}, "actuators[5].output: 5 is the second solenoid of the place of outputs 4 and 5 of the isla"),
+        (True, {"output": {"bit": 5}, "output_off": 4}, None),
+        (True, {"output": 5, "output_off": 6}, "actuators[5].output_off: 6 is not in the place of outputs 4 and 5 of the"),
+    ],
+)  # fmt: skip
+def test_outputs_of_an_island_that_are_not_those_of_one_valve_are_named(read, island, bits, warning):
+    value = document()
+    value["actuators"][4].update(bits)
+    value["boards"]["nodes"] = [{"bus": "can0", "node": 2, "island": island}]
+    assert value["actuators"][4]["node"] == 2
+    found = [w for w in without_path(file_warnings(read(value))) if w.startswith("actuators[5]")]
+    assert (len(found), found[0][: len(warning)]) == (1, warning) if warning else found == []
+
+
 @pytest.mark.parametrize("rate", [10_000, 123_456, 100_000, 83_333, *BIT_RATES])
 def test_an_unusual_bit_rate_is_named(read, rate):
     warnings = file_warnings(read(changed("buses.1.bitrate", rate)))

@@ -18,6 +18,7 @@ ARMS = {
     "revolute24": (2, 24, 24, 3),
     "platform8": (3, 8, 48, 8),
     "motor12": (3, 12, 48, 6),
+    "valve-islands": (2, 8, 24, 2),
 }
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from hyperbit.drivers.canopen.faults import ArmFault, Busy
 from hyperbit.drivers.canopen.status import MasterStatus
-from hyperbit.drivers.canopen.wiring import Timing, Wiring
+from hyperbit.drivers.canopen.wiring import Interlock, Timing, Wiring
 
 
 class FakeMaster:
@@ -27,6 +27,7 @@ class FakeMaster:
             self.inputs |= 1 << self._size + i
         self.all, self._travel = (1 << self._size) - 1, timing.travel_time
         self.up = self.answers = True
+        self.silent: dict[str, str] = {}  # why the objects of interlocks are unknown, by name
         self.back = False
         self.known = 0
         self.booting = self.committing = self.collecting = self.boots_long = False
@@ -173,6 +174,9 @@ class FakeMaster:
     @property
     def inputs_known(self) -> int:
         return (1 << len(self._wiring.input_lines)) - 1 if self.known else 0
+
+    def unanswered(self, lock: Interlock) -> str | None:
+        return self.silent.get(lock.name)
 
     def fail(self, fault: ArmFault, lost: int = 0) -> None:
         self._faults.append(fault)

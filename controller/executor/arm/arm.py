@@ -4,19 +4,26 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
-
 from hyperbit.controller.armfile.actuators import ending_time, longest_travel, read_wired, travel_times
 from hyperbit.controller.armfile.error_states import error_state
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.places import placed_faults
-from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, RealTimeSettings
+from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, InterlockSettings, RealTimeSettings
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.armfile.terminals import actuator_terminals, owned_terminals
+from hyperbit.controller.armfile.terminals import actuator_terminals, interlock_bit, owned_terminals
 from hyperbit.controller.executor.arm.kinds import mask_of
 from hyperbit.controller.host.files import read_file
 from hyperbit.drivers.canopen.layout import Unfit, lay_out
-from hyperbit.drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
+from hyperbit.drivers.canopen.wiring import (
+    BoardId,
+    BusWiring,
+    Channel,
+    Interlock,
+    NodeWiring,
+    Timing,
+    WatchedObject,
+    Wiring,
+)
 
 
 @dataclass(frozen=True)
@@ -85,14 +92,28 @@ def wiring_of(settings: ArmSettings, actuators: tuple[str, ...], wired: tuple[Ac
         shared_rpdo=boards.shared_rpdo,
         error_state=error_state(boards.error_state),
         nodes=tuple(
-            NodeWiring(**{**msgspec.structs.asdict(node), "error_state": error_state(node.error_state)})
-            for node in boards.nodes
+            NodeWiring(
+                it.bus,
+                it.node,
+                it.object,
+                it.vendor,
+                it.product,
+                it.revision,
+                it.serial,
+                error_state(it.error_state),
+                it.verify,
+            )
+            for it in boards.nodes
         ),
         interlocks=tuple(
-            Interlock(name=name, bus=it.bus, node=it.node, input=it.input, inverted=it.inverted)
+            Interlock(name, it.bus, it.node, interlock_bit(it) or 0, it.inverted, watched_object(it))
             for name, it in settings.interlocks.items()
         ),
     )
+
+
+def watched_object(lock: InterlockSettings) -> WatchedObject | None:
+    return None if lock.object is None else WatchedObject(lock.object, lock.sub)
 
 
 def channel_of(settings: ArmSettings, label: str, entry: ActuatorSettings) -> Channel:

@@ -305,8 +305,12 @@ class Readings:
 
     def interlock_faults(self) -> list[ArmFault]:
         opened = self._kinds.open(self._master.ends, self._master.inputs_known)
-        places = (f"{lock.name} ({lock.bus}/{lock.node} input {lock.input})" for lock in opened)
-        return [ArmFault("interlock", place, f"interlock {place} is open: close it, then reset") for place in places]
+        faults = []
+        for lock in opened:
+            place, why = f"{lock.name} ({lock.place})", self._master.unanswered(lock)
+            text = "is open: close it, then reset" if why is None else f"counts as open: {why}. Mend this, then reset"
+            faults.append(ArmFault("interlock", place, f"interlock {place} {text}"))
+        return faults
 
 
 class TravelTimes:

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.layout import BoardLayout
-from hyperbit.drivers.canopen.pdo import INPUTS, Carried, Pdo, carries, subs_of, union
-from hyperbit.drivers.canopen.sdo.client import Transfer
+from hyperbit.drivers.canopen.pdo import FIRST_WATCHED, INPUTS, WATCHED_BITS, Carried, Pdo, carries, subs_of, union
+from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
 from hyperbit.drivers.canopen.sdo.objects import Need
-from hyperbit.drivers.canopen.sdo.procedure import Procedure, Runner
+from hyperbit.drivers.canopen.sdo.procedure import BoardError, Procedure, Runner
 from hyperbit.drivers.canopen.status import BoardStatus
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import STATES, Command, State
 from hyperbit.drivers.canopen.wire.link import Link
+from hyperbit.drivers.canopen.wiring import WatchedObject
 
+ERROR_REGISTER = WatchedObject(0x1001, 0)  # emergencies have its value, too
 _INPUT_TIMEOUT = 0.3  # [s] for the answer with the inputs
 _WINDOW = 10  # length of a counting window in heartbeat periods
 
@@ -95,6 +99,9 @@ class Board:
         self._beat_at: float | None = None
         self._toggle: int | None = None  # toggle bit of the last answer to node guarding
         self._tpdos: dict[int, tuple[int, list[Carried]]] = {}
+        self.poll_due = math.inf  # time at which the watched objects are asked for [s]
+        self._poll_period = 0.0
+        self.unread: dict[WatchedObject, str] = {}  # why watched objects are unknown; their interlocks count as open
         self.set_tpdos(layout.tpdos)
         image.set_ready(layout, False)
         image.ends |= sum(bit.line for bit in layout.inputs if bit.inverted)
@@ -150,6 +157,11 @@ class Board:
             self.questioning, self._question_again = True, False
             self.runner.start(self._ask_inputs(), self._answered, now)
 
+    def poll(self, now: float, period: float) -> None:
+        """Asks for the watched objects, and sets when to ask again: `period` [s] after the answer."""
+        self._poll_period, self.poll_due = period, now + period
+        self.runner.start(self.ask_watched(), self._polled, now)
+
     def probe(self, now: float) -> None:
         """Asks for the device type, 1000h. Any answer shows that the board is back."""
         if not self.runner.running:
@@ -165,17 +177,21 @@ class Board:
         self.guarded, self._toggle = True, None
 
     def set_tpdos(self, tpdos: Iterable[Pdo]) -> None:
-        self._tpdos = {pdo.cob_id: (pdo.size, carries(pdo.mapping, INPUTS)) for pdo in tpdos}
+        self._tpdos = {pdo.cob_id: (pdo.size, carries(pdo.mapping, INPUTS, self.layout.watched)) for pdo in tpdos}
+
+    @property
+    def polled(self) -> bool:
+        """Whether a watched object is in no TPDO."""
+        carried = {each.bit for _, bits in self._tpdos.values() for each in bits}
+        return any(_first(k) not in carried for k in range(len(self.layout.watched)))
 
     def begin_input_read(self) -> None:
-        """Records a request of an input byte, 6000h. A TPDO that comes before the answer is newer."""
+        """Records a request of an input byte, 6000h, or of a watched object. A TPDO before the answer is newer."""
         self._brought = 0
 
     def set_input(self, sub: int, value: int) -> None:
         """Sets one input byte as requested at `begin_input_read`, without the bits of newer TPDOs."""
-        shift = 8 * (sub - 1)
-        mask = 0xFF << shift & ~self._brought
-        self._set_inputs(self._inputs & ~mask | value << shift & mask)
+        self._answer(8 * (sub - 1), 8, value)
 
     def receive_frame(self, cob_id: int, data: bytes, now: float) -> bool:
         """Takes a frame from the board; returns whether it was understood. Call `runner.check` afterwards."""
@@ -188,6 +204,8 @@ class Board:
                 return False
         elif function == cia301.EMERGENCY and len(data) >= 2:
             self._receive_emergency(int.from_bytes(data[:2], "little"), data[2] if len(data) > 2 else 0)
+            if len(data) > 2 and ERROR_REGISTER in self.layout.watched:
+                self._bring(_first(self.layout.watched.index(ERROR_REGISTER)), 8, data[2])
         elif function == cia301.SDO_ANSWER and len(data) == 8:
             self.runner.receive_sdo(data, now)
         else:
@@ -264,13 +282,22 @@ class Board:
         text = f"its inputs come in {len(data)} bytes, though {size} are mapped: only the first ones are used"
         if len(data) > size and self._ready and text not in self.warnings:
             self.warnings = (*self.warnings, text)
-        number, inputs = int.from_bytes(data, "little"), self._inputs
+        number = int.from_bytes(data, "little")
         for bit, place, count in carried:
-            mask = (1 << count) - 1
-            inputs = inputs & ~(mask << bit) | (number >> place & mask) << bit
-            self._brought |= mask << bit
-        self._set_inputs(inputs)
+            self._bring(bit, count, number >> place)
         return True
+
+    def _bring(self, bit: int, count: int, value: int) -> None:
+        """Sets bits from a frame that nobody asked for: it is newer than an answer that is still to come."""
+        if bit >= FIRST_WATCHED:
+            self.unread.pop(self.layout.watched[(bit - FIRST_WATCHED) // WATCHED_BITS], None)
+        self._brought &= ~(((1 << count) - 1) << bit)
+        self._answer(bit, count, value)
+        self._brought |= ((1 << count) - 1) << bit
+
+    def _answer(self, bit: int, count: int, value: int) -> None:
+        mask = ((1 << count) - 1) << bit & ~self._brought
+        self._set_inputs(self._inputs & ~mask | value << bit & mask)
 
     def _set_inputs(self, inputs: int) -> None:
         changed, self._inputs = inputs ^ self._inputs, inputs
@@ -284,6 +311,27 @@ class Board:
             if outcome.data:
                 self.set_input(sub, outcome.data[0])
 
+    def ask_watched(self) -> Procedure:
+        """Reads the watched objects. Without an answer of an object, its interlocks count as open."""
+        for k, it in enumerate(self.layout.watched):
+            self.begin_input_read()
+            outcome = yield Transfer(*it, timeout=_INPUT_TIMEOUT, tries=2, fresh=True)
+            self._take(k, it, outcome)
+
+    def _take(self, k: int, it: WatchedObject, outcome: SdoOutcome) -> None:
+        if self._brought >> _first(k) & 1:
+            return
+        self.unread.pop(it, None)
+        try:
+            value = objects.watched(self.name, *it, self.layout.watched_bits(k).bit_length() - 1, outcome)
+        except BoardError as error:
+            self.unread[it] = error.fault.message
+            value = union(bit.place for bit in self.layout.inputs if bit.inverted) >> _first(k)  # all open
+        self._answer(_first(k), WATCHED_BITS, value)
+
+    def _polled(self, fault: ArmFault | None, now: float) -> None:
+        self.poll_due = now + self._poll_period
+
     def _answered(self, fault: ArmFault | None, now: float) -> None:
         self.questioning = False
         if self._question_again:
@@ -291,6 +339,11 @@ class Board:
 
     def _fault(self, code: str, what: str) -> None:
         self.report(ArmFault(code, self.name, f"board {self.name}: {what}"))
+
+
+def _first(k: int) -> int:
+    """Returns the first bit of the watched object k in the number of a board's inputs."""
+    return FIRST_WATCHED + WATCHED_BITS * k
 
 
 def _ask_presence() -> Procedure:

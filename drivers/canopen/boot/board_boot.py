@@ -271,6 +271,7 @@ def _read_back(boot: Boot) -> Procedure:
     for sub in subs_of(board.layout.input_bits):
         board.begin_input_read()
         board.set_input(sub, (yield from objects.read(board.name, INPUTS, sub)))
+    yield from board.ask_watched()
     if board.state is not State.OPERATIONAL:
         seen = "its state is unknown" if board.state is None else f"it is {board.state.words}"
         raise BoardError(

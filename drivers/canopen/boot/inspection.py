@@ -39,6 +39,7 @@ class Inspection:
     guarded: bool = False  # supervised by node guarding in place of heartbeats
     rpdos: list[tuple[Pdo, PdoState]] = field(default_factory=list)  # wanted ones, each with its present state
     tpdos: list[tuple[Pdo, PdoState]] = field(default_factory=list)  # likewise
+    bringing: list[Pdo] = field(default_factory=list)  # further TPDOs, used as they are: they have watched objects
 
     @property
     def name(self) -> str:
@@ -73,6 +74,8 @@ def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState |
         yield from _outputs(it, error_state)
     yield from _error_behaviour(it)
     yield from _read(it, configuration.interrupts(it.layout))
+    for k, each in enumerate(it.layout.watched):
+        objects.watched(it.name, *each, it.layout.watched_bits(k).bit_length() - 1, (yield Transfer(*each)))
 
 
 def ensure(it: Inspection, needs: list[Need]) -> Reading:

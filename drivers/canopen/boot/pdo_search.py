@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Container, Generator, Iterable
 
 from hyperbit.drivers.canopen.boot.inspection import Inspection, Reading, ensure
-from hyperbit.drivers.canopen.boot.pdo_setup import ON_SYNC, PdoState, pdo_words, read_pdo, set_up, usable
+from hyperbit.drivers.canopen.boot.pdo_setup import ON_CHANGE, ON_SYNC, PdoState, pdo_words, read_pdo, set_up, usable
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.layout import BoardLayout
-from hyperbit.drivers.canopen.pdo import INPUTS, Pdo, carried_bits
+from hyperbit.drivers.canopen.pdo import FIRST_WATCHED, INPUTS, Pdo, carried_bits
 from hyperbit.drivers.canopen.sdo import objects
 from hyperbit.drivers.canopen.sdo.client import SdoOutcome
 from hyperbit.drivers.canopen.sdo.objects import Need
@@ -24,18 +24,45 @@ _LAST_TRIED = 8  # a board without this PDO has none after it
 def read_pdos(it: Inspection, in_full: bool) -> Reading:
     """Reads the PDOs for the process data.
 
-    `in_full`: read all entries of mappings, even if their number shows that they differ.
+    `in_full`: read all entries of mappings, even if their number shows that they differ. A TPDO that carries its inputs
+    and a watched object keeps its mapping.
     """
+    watched = it.layout.watched
     for wanted, found in ((it.layout.rpdos, it.rpdos), (it.layout.tpdos, it.tpdos)):
         found.clear()
         taken: set[int] = set()
         for pdo in wanted:
-            present = yield from _find_pdo(it, pdo, taken, in_full)
+            present = yield from _find_pdo(it, pdo, taken, in_full or bool(watched))
             if present is None:
                 what = f"{pdo_words(pdo.parameters)} ({pdo.parameters:04X}h): it is needed for its process data"
                 raise BoardError(ArmFault("wrong-device", it.name, f"board {it.name} has no {what}"))
             taken.add(present.parameters)
+            carried = carried_bits([present.pdo], INPUTS, watched)
+            if found is it.tpdos and carried >> FIRST_WATCHED and not carried_bits([pdo], INPUTS) & ~carried:
+                pdo = pdo._replace(mapping=present.mapping)
             found.append((pdo._replace(parameters=present.parameters), present))
+    yield from _find_bringing(it)
+
+
+def _find_bringing(it: Inspection) -> Reading:
+    """Searches further TPDOs that carry watched objects; they are used as they are."""
+    it.bringing.clear()
+    node, used = it.layout.node, [present.parameters for _, present in it.tpdos]
+    identifiers = {cia301.TPDO1 + 0x100 * i + node for i in range(4)} - {wanted.cob_id for wanted, _ in it.tpdos}
+    for number in range(1, 1 + _MOST_PDOS) if it.layout.watched else ():
+        if (parameters := 0x17FF + number) in used:
+            continue
+        present = yield from read_pdo(it.name, parameters)
+        if present is None:
+            if number >= _LAST_TRIED:
+                break
+        elif (
+            present.valid
+            and present.pdo.cob_id in identifiers
+            and present.kind in ON_CHANGE
+            and carried_bits([present.pdo], INPUTS, it.layout.watched) >> FIRST_WATCHED
+        ):
+            it.bringing.append(present.pdo)
 
 
 def cover(
@@ -79,7 +106,7 @@ def as_is(it: Inspection) -> bool:
 
 
 def adopt(it: Inspection) -> tuple[tuple[Pdo, ...], tuple[Pdo, ...]]:
-    """Returns the present RPDOs and TPDOs, and warns of RPDOs that do not wait for SYNC."""
+    """Returns the present RPDOs and the used TPDOs, and warns of RPDOs that do not wait for SYNC."""
     rpdos = tuple(present.pdo for _, present in it.rpdos)
     for pdo in rpdos:
         if not pdo.on_sync and it.synchronous:
@@ -87,7 +114,7 @@ def adopt(it: Inspection) -> tuple[tuple[Pdo, ...], tuple[Pdo, ...]]:
                 f"{pdo_words(pdo.parameters)} refuses to wait for SYNC ({pdo.parameters:04X}h sub 2): its outputs"
                 " switch at once with their frame, not at the same instant as other boards"
             )
-    return rpdos, tuple(present.pdo for _, present in it.tpdos)
+    return rpdos, (*(present.pdo for _, present in it.tpdos), *it.bringing)
 
 
 def check_pairs(layout: BoardLayout, rpdos: Iterable[Pdo]) -> None:

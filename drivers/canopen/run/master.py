@@ -19,7 +19,7 @@ from hyperbit.drivers.canopen.status import MasterStatus
 from hyperbit.drivers.canopen.wire import cia301, events
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, wire_bits
 from hyperbit.drivers.canopen.wire.link import Link
-from hyperbit.drivers.canopen.wiring import MASTER, Timing, Wiring
+from hyperbit.drivers.canopen.wiring import MASTER, Interlock, Timing, Wiring
 
 _OWN = {cia301.NMT: "NMT", cia301.SYNC: "SYNC", BEAT.id: "the master's heartbeat"}  # frames that only a master sends
 
@@ -57,7 +57,8 @@ class Master:
         self._booting = Booting(self._boards, self._outputs, wiring, timing)
         links = tuple(self.links.values())
         self._heartbeat = Heartbeat(links, self._boards, timing)
-        self._inputs = InputWatch(self._boards, links, sum(1 << line for line in wiring.interlock_lines))
+        locks = zip(wiring.interlock_lines, wiring.interlocks, strict=True)
+        self._inputs = InputWatch(self._boards, links, sum(1 << line for line, lock in locks if lock.watched is None))
         self._switching = OutputSwitching(self._boards, self.links, self._outputs, timing)
         self._verification = Verification(self._boards, self._outputs, self._switching.commits)
         self._errors = ErrorReads(self._boards, self._switching.commits)
@@ -249,6 +250,10 @@ class Master:
     def inputs_known(self) -> int:
         """Mask of the input lines whose board is ready."""
         return self._image.up
+
+    def unanswered(self, lock: Interlock) -> str | None:
+        """Returns why the object of an interlock is unknown, so that it counts as open; None: it is known."""
+        return self._by_id[lock.bus, lock.node].unread.get(lock.watched) if lock.watched else None
 
     @property
     def known(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Iterable, Mapping, Sequence
 
 from hyperbit.drivers.canopen.boards.board import Board
@@ -24,6 +25,7 @@ _PULSE_PAUSE, _PULSE_TRIES = 0.01, 2  # the same inside a pulse: so many wrong r
 _MOST_SILENT = 3  # successive reads without a result
 _MOST_MISSED = 3  # successive pulses that ended before their read
 _INPUTS_EVERY = 1.5  # [s] between two reads of the inputs; with the answer, a lost TPDO is noticed within 2 s
+_POLLED_EVERY, _POLLED_SHARE = 0.25, 0.1  # [s] for watched objects without a TPDO, and their share of the bit rate
 
 Reads = Generator[Step, SdoOutcome, None]
 
@@ -131,7 +133,7 @@ class Verification:
         k, place = divmod(self._turns[bus], len(boards))
         self._turns[bus] += 1
         board = boards[place]
-        if not board.ready or board.runner.running:
+        if not board.ready or board.runner.running or now >= board.poll_due:
             return
         k %= len(board.expected) + 2
         if k < len(board.expected):
@@ -230,19 +232,23 @@ def _place(board: Board, sub: int) -> str:
 
 
 class InputWatch:
-    """Asks each ready board for its inputs, 6000h, by SDO. A TPDO that comes before the answer is newer, and wins.
+    """Asks each ready board for its inputs, 6000h, and its watched objects, by SDO. A newer TPDO wins over an answer.
 
     A board with an input line of `interlocks` is asked every 1.5 s. 126 such boards with one byte each take 126 x 2 x
     135 bits in 1.5 s: 22.7 kbit/s, 18 % of 125 kbit/s. Other boards are asked as often, but with at most 1 % of the bit
-    rate.
+    rate. Watched objects are asked every 1.5 s; without a TPDO every 0.25 s, or as often as 10 % of the bit rate allow.
     """
 
     def __init__(self, boards: Sequence[Board], links: Iterable[Link], interlocks: int) -> None:
         self._boards = boards
         self._periods: dict[int, float] = {}
+        self._polled_periods: dict[int, float] = {}  # of boards with watched objects
         for link in links:
             here = [b for b in self._boards if b.link is link]
             guards = {b.index for b in here if b.layout.input_lines & interlocks}
+            polls = 2 * wire_bits(8) * sum(len(b.layout.watched) for b in here) / (_POLLED_SHARE * link.wiring.bitrate)
+            period = min(max(polls, _POLLED_EVERY), _INPUTS_EVERY)
+            self._polled_periods |= {b.index: period for b in here if b.layout.watched}
             transfers = sum(len(subs_of(b.layout.input_bits)) for b in here if b.index not in guards)
             shared = transfers * 2 * wire_bits(8) / (_SHARE * link.wiring.bitrate)
             self._periods |= {b.index: _INPUTS_EVERY if b.index in guards else max(_INPUTS_EVERY, shared) for b in here}
@@ -252,6 +258,8 @@ class InputWatch:
         """Records that a boot has begun. The boot reads all inputs; later reads are spread over their periods."""
         count = len(self._boards)
         self._due = {b.index: now + self._periods[b.index] * (k + 1) / count for k, b in enumerate(self._boards)}
+        for i, period in self._polled_periods.items():
+            self._boards[i].poll_due = now + period * (i + 1) / count
 
     def tick(self, now: float) -> None:
         """Asks the boards that are due. A board with a running procedure is asked after it. Call every period."""
@@ -259,7 +267,12 @@ class InputWatch:
             if now >= self._due.get(board.index, now) and board.ready and not board.runner.running:
                 self._due[board.index] = now + self._periods[board.index]
                 board.question(now)
+            if now >= board.poll_due and board.ready and not board.runner.running:
+                board.poll(now, self._polled_periods[board.index] if board.polled else _INPUTS_EVERY)
 
     def hurry(self, bus: str, now: float) -> None:
         """Makes all ready boards of a bus due: their TPDOs may be lost."""
-        self._due |= {board.index: now for board in self._boards if board.link.name == bus}
+        here = [board for board in self._boards if board.link.name == bus]
+        self._due |= {board.index: now for board in here}
+        for board in here:
+            board.poll_due = now if board.layout.watched else math.inf

@@ -139,6 +139,22 @@ def number(board: str, index: int, sub: int, size: int, outcome: SdoOutcome) -> 
     return int.from_bytes(outcome.data[:size], "little")
 
 
+def watched(board: str, index: int, sub: int, bit: int, outcome: SdoOutcome) -> int:
+    """Returns the value of a watched object whose greatest used bit is `bit`.
+
+    Raises BoardError after a refusal or silence, or if the object lacks this bit.
+    """
+    place, needed = f"{index:04X}h sub {sub}", f"an interlock of the arm's file needs its bit {bit}"
+    if outcome.abort in ABSENT:
+        raise BoardError(ArmFault("wrong-device", board, f"board {board} has no {place}; {needed}"))
+    data = outcome.data or b""
+    value = number(board, index, sub, len(data), outcome)
+    if bit >= 8 * len(data):
+        text = f"board {board} has {8 * len(data)} bits in {place}, counted from 0; {needed}"
+        raise BoardError(ArmFault("wrong-device", board, text))
+    return value
+
+
 def write(board: str, need: Need, value: int, staged: bool = False) -> Generator[Step, SdoOutcome, int | None]:
     """Writes a value, a staged one once; returns None or the abort code. Raises BoardError after silence."""
     data = value.to_bytes(need.size, "little")

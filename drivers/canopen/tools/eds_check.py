@@ -115,12 +115,16 @@ def _causes(named: list[EdsTransfer]) -> list[EdsTransfer]:
 
 def _lack(eds: Eds, board: BoardLayout, cause: EdsTransfer, named: list[EdsTransfer], refusal: str) -> Lack:
     index, sub = cause.blamed
+    entry = eds.find(index, sub)
     text = refusal.removeprefix(f"board {board.name}: ")
     if text.startswith(own := f"board {board.name} "):
         text = f"the board {text.removeprefix(own)}"
     # An unwritable value may be right if the EDS does not give it.
     unknown = cause.abort == objects.READ_ONLY and not all(one.told for one in named)
-    return Lack(f"{index:04X}h sub {sub}", eds.says(index, sub), text, cause.told and not unknown)
+    told = cause.told and not unknown
+    if entry is not None and (index, sub) in board.watched:  # access and data type decide, not the value
+        told = entry.access is not None and entry.size > 0
+    return Lack(f"{index:04X}h sub {sub}", eds.says(index, sub), text, told)
 
 
 def _take_as_met(
@@ -133,7 +137,7 @@ def _take_as_met(
 ) -> None:
     """Changes the assumptions for the next board so that it does not refuse this transfer."""
     place = cause.blamed
-    if cause.abort is None:  # a wrong value that must not be written
+    if cause.abort is None and place not in board.watched:  # a wrong value that must not be written
         right = {(need.index, need.sub): need.value for need in configuration.identity(board.settings)}
         assumed[place] = 0x000F_0191 if place == (0x1000, 0) else right.get(place, 0xFE if place[1] == 0 else 0)
     elif eds.find(place[0], 0) is None:

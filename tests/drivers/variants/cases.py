@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from hyperbit.drivers.canopen.wiring import Channel, NodeWiring, Timing
+from hyperbit.drivers.canopen.wiring import Channel, Interlock, NodeWiring, Timing, WatchedObject
 from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World
 
@@ -53,6 +53,8 @@ _NO_MODE = ("has no 6206h (error mode)", "set boards.error_state to off, hold or
 _NO_BEHAVIOUR = "has no 1029h sub 1 (error behaviour); CiA 301 makes it enter pre-operational when the master is lost"
 _NO_BEHAVIOUR_REFUSED = ("has no 1029h sub 1 (error behaviour); 02h is needed", "on_loss: contract")
 _NO_VALUE_REFUSED = ("has no 6207h sub 1 (error value); 00h is needed", "on_loss: contract")
+_SUPPLY = {"interlocks": (Interlock("supply", "can0", 5, 0, watched=WatchedObject(0x2102, 0)),)}
+_NINTH_BIT = {"interlocks": (Interlock("supply", "can0", 5, 8, watched=WatchedObject(0x2102, 0)),)}
 _GOES_OFF = "by the arm's file (error_state) its outputs go off"
 
 IN_VAIN = "did not become operational within 8 s; it is pre-operational"  # which only a start can tell
@@ -132,6 +134,9 @@ CASES = (
     Case("kept-loss"),
     Case("kept-loss", options=_CONTRACT, label="contract"),
     Case("kept-loss-without-history"),
+    Case("valve-supply", options=_SUPPLY),
+    Case("valve-supply", ("has 8 bits in 2102h sub 0", "needs its bit 8"), options=_NINTH_BIT, label="ninth-bit"),
+    Case("mapped-supply", options=_SUPPLY),
     Case("inverted-outputs", ("has FFh in 6202h sub 1 (polarity of the outputs); FCh is needed",)),
     Case("masked-inputs"),
     Case("standing-error", ("error register 1001h sub 0 is 80h; 00h is needed", "1003h sub 1 is 0000FF00h", "FF00h")),

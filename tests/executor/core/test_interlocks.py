@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hyperbit.controller.program import TICK, Answer, Lock, Reset, Stop
-from hyperbit.drivers.canopen.wiring import Interlock
+from hyperbit.drivers.canopen.wiring import Interlock, WatchedObject
 from tests.executor.rig import CAN, LOST, SIZE, Rig, ready
 
 STOP, AIR = Interlock("stop", "can0", 9, 0), Interlock("air", "can0", 9, 1)
@@ -61,6 +61,15 @@ def test_an_interlock_that_opens_while_the_arm_is_stopped_keeps_it_stopped(rig: 
     assert (rig.mode, rig.faults) == ("stopped", [("interlock", "stop (can0/9 input 0)")])
     rig.send(Reset(2, rig.epoch))
     assert not rig.last(Answer).accepted
+
+
+def test_an_object_that_does_not_answer_counts_as_open_and_says_why() -> None:
+    rig = ready(interlocks=(STOP, Interlock("supply", "can0", 9, 0, watched=WatchedObject(0x2102, 0))))
+    rig.master.inputs &= ~(0b10 << SIZE)
+    rig.master.silent["supply"] = "board can0/9 does not answer to 2102h sub 0"
+    rig.go()
+    why = "board can0/9 does not answer to 2102h sub 0. Mend this, then reset"
+    assert (rig.mode, rig.reason) == ("fault", f"interlock supply (can0/9 2102h sub 0 bit 0) counts as open: {why}")
 
 
 def test_an_interlock_of_a_lost_board_does_not_count_as_open(rig: Rig) -> None:

@@ -6,7 +6,8 @@ import pytest
 
 from hyperbit.controller.host.process import Quit
 from hyperbit.controller.program import TICK, Answer, Ended, Reset, Snapshot, unpack
-from hyperbit.drivers.canopen.wiring import Interlock
+from hyperbit.drivers.canopen.wiring import Interlock, WatchedObject
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.executor.rig import SIZE
 from tests.executor.world import STEP, A, B, World, ready
 
@@ -112,6 +113,53 @@ def test_the_door_stops_the_arm_within_a_period_and_reset_waits_for_it() -> None
     world.send(Reset(2, world.epoch))
     world.go(1.0)
     assert (world.last(Answer).accepted, world.mode) == (True, "ready")
+
+
+SUPPLY = Interlock("supply", "can0", 2, 0, watched=WatchedObject(0x2102, 0))
+
+
+@pytest.mark.parametrize("variant", ["valve-supply", "mapped-supply"])
+@pytest.mark.parametrize("channel", [{}, KINDS["pulses"]], ids=["single", "bistable"])
+@pytest.mark.parametrize("lost", ["moving", "at rest", "at the boot"])
+def test_a_supply_that_returns_moves_nothing_before_reset_and_a_goal(variant, channel, lost) -> None:
+    world = World({"can0/2": VARIANTS[variant]}, interlocks=(SUPPLY,), channel=channel)
+    if lost == "at the boot":
+        world.fault("open", "supply")
+    world.go(2.0)
+    if lost != "at the boot":
+        world.run(1, A, B, A, B, step=0.4)
+        world.go(0.3 if lost == "moving" else 3.0)
+        world.fault("open", "supply")
+        world.go(1.0)
+    assert world.mode == "fault"
+    assert "interlock supply (can0/2 2102h sub 0 bit 0) is open" in world.last(Snapshot).reason
+    begun, moved = len(world.syncs), world.boards.switches()
+    assert lost != "moving" or begun <= (4 if channel else 2), "no further stage begins"
+    world.send(Reset(1, world.epoch))
+    world.go(1.0)
+    assert not world.last(Answer).accepted
+    world.fault("close", "supply")
+    world.go(3.0)
+    assert (world.mode, len(world.syncs), world.boards.switches()) == ("fault", begun, moved)
+    world.send(Reset(2, world.epoch))
+    world.go(1.0)
+    assert (world.mode, len(world.syncs), world.boards.switches()) == ("ready", begun, moved)
+    world.run(9, A)
+    world.go(2.0)
+    assert (world.last(Ended).status, positions(world)) == ("done", A)
+
+
+def test_a_board_that_comes_back_without_the_object_stays_refused() -> None:
+    world = World({"can0/2": VARIANTS["valve-supply"]}, interlocks=(SUPPLY,))
+    world.go(2.0)
+    world.boards.board("can0/2").objects.refused[SUPPLY.watched] = 0x0602_0000
+    world.fault("power_cut", "can0/2")
+    world.fault("power_on", "can0/2")
+    world.go(1.0)
+    world.send(Reset(1, world.epoch))
+    world.go(4.0)
+    assert world.mode == "fault"
+    assert "can0/2 has no 2102h sub 0; an interlock" in world.last(Snapshot).reason
 
 
 def test_the_arm_contracts_before_the_end_and_heartbeats_continue_until_then() -> None:

@@ -74,7 +74,7 @@ def _fields(arm: ExecutedArm, real_time: int | None) -> dict[str, Any]:
         ],
         "actuators": [_actuator(arm, k, channel) for k, channel in enumerate(wiring.channels)],
         "interlocks": {
-            lock.name: {"bus": lock.bus, "node": lock.node, "input": lock.input, "inverted": lock.inverted}
+            lock.name: {"bus": lock.bus, "node": lock.node, "input": lock.bit, "inverted": lock.inverted}
             for lock in wiring.interlocks
         },
     }

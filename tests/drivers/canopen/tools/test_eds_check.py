@@ -10,7 +10,7 @@ from hyperbit.drivers.canopen.layout import lay_out
 from hyperbit.drivers.canopen.tools.eds import Eds
 from hyperbit.drivers.canopen.tools.eds_check import lacks
 from hyperbit.drivers.canopen.tools.eds_file import UnreadableEds
-from hyperbit.drivers.canopen.wiring import BusWiring, Channel, NodeWiring, Timing, Wiring
+from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Interlock, NodeWiring, Timing, WatchedObject, Wiring
 from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.tools.test_eds_texts import TEXT, both, drop, put
 from tests.drivers.canopen.world import World
@@ -72,6 +72,22 @@ def test_each_lack_is_told_with_what_is_needed(tmp_path, section, change, says, 
 )
 def test_what_the_boot_accepts_is_no_lack(tmp_path, section, change):
     assert found(tmp_path, (section, change)) == []
+
+
+@pytest.mark.parametrize(
+    ("it", "bit", "change", "told"),
+    [
+        (WatchedObject(0x1002, 0), 0, "", "1002h sub 0: the EDS says nothing of it; the board has no 1002h sub 0; an"),
+        (WatchedObject(0x1001, 0), 9, "AccessType=ro", "DefaultValue=0x0; the board has 8 bits in 1001h sub 0"),
+        (WatchedObject(0x1001, 0), 0, "AccessType=wo", "1001h sub 0: the EDS says AccessType=wo"),
+        (WatchedObject(0x1001, 0), 7, "DefaultValue=", None),
+    ],
+)  # fmt: skip
+def test_an_object_of_an_interlock_must_be_there_readable_and_large_enough(tmp_path, it, bit, change, told):
+    lock = Interlock("supply", "can0", 5, bit, True, it)
+    changes = [("1001", change)] if change else []
+    lacks = found(tmp_path, *changes, interlocks=(lock,))
+    assert (len(lacks), told in lacks[0]) == (1, True) if told else lacks == []
 
 
 def test_all_lacks_are_told_and_not_only_the_first(tmp_path):
