@@ -80,9 +80,9 @@ def test_a_pulse_is_compared_with_the_time_of_its_own_actuator(read):
     [
         (True, {"output": 4}, None),
         (False, {"output": 5}, None),
-        (True, {"output": 5}, "actuators[5].output: 5 is the second solenoid of the place of outputs 4 and 5 of the isla"),
+        (True, {"output": 5}, "actuators[5].output: 5 is the second solenoid of the place of outputs 4 and 5 of"),
         (True, {"output": {"bit": 5}, "output_off": 4}, None),
-        (True, {"output": 5, "output_off": 6}, "actuators[5].output_off: 6 is not in the place of outputs 4 and 5 of the"),
+        (True, {"output": 5, "output_off": 6}, "actuators[5].output_off: 6 is not in the place of outputs 4 and 5 of"),
     ],
 )  # fmt: skip
 def test_outputs_of_an_island_that_are_not_those_of_one_valve_are_named(read, island, bits, warning):
