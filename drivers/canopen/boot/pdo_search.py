@@ -114,7 +114,9 @@ def adopt(it: Inspection) -> tuple[tuple[Pdo, ...], tuple[Pdo, ...]]:
                 f"{pdo_words(pdo.parameters)} refuses to wait for SYNC ({pdo.parameters:04X}h sub 2): its outputs"
                 " switch at once with their frame, not at the same instant as other boards"
             )
-    return rpdos, (*(present.pdo for _, present in it.tpdos), *it.bringing)
+    used = [present.parameters for _, present in it.tpdos]
+    further = (pdo for pdo in it.bringing if pdo.parameters not in used)
+    return rpdos, (*(present.pdo for _, present in it.tpdos), *further)
 
 
 def check_pairs(layout: BoardLayout, rpdos: Iterable[Pdo]) -> None:
