@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from hyperbit.drivers.canopen.pdo import FIRST_WATCHED, INPUTS, WATCHED_BITS, Bit, Pdo, subs_of, union
+from hyperbit.drivers.canopen.pdo import FIRST_WATCHED, INPUTS, WATCHED_BITS, Bit, Pdo, first_watched, subs_of, union
 from hyperbit.drivers.canopen.status import Traffic
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import wire_bits
@@ -61,7 +61,7 @@ class BoardLayout:
 
     def watched_bits(self, k: int) -> int:
         """Returns the used bits of the watched object k."""
-        return sum(bit.place for bit in self.inputs) >> FIRST_WATCHED + WATCHED_BITS * k & (1 << WATCHED_BITS) - 1
+        return sum(bit.place for bit in self.inputs) >> first_watched(k) & (1 << WATCHED_BITS) - 1
 
     @property
     def loss_is_off(self) -> bool:
@@ -166,7 +166,7 @@ def _by_board(
             continue
         first = 0
         if line.watched is not None:
-            first = FIRST_WATCHED + WATCHED_BITS * watched[line.board].index(line.watched)
+            first = first_watched(watched[line.board].index(line.watched))
         found.setdefault(line.board, []).append(Bit(1 << k, 1 << first + line.bit, line.inverted))
     return found
 

@@ -40,6 +40,11 @@ class Bit(NamedTuple):
     inverted: bool
 
 
+def first_watched(k: int) -> int:
+    """Returns the first bit of the watched object k in the number of a board's inputs."""
+    return FIRST_WATCHED + WATCHED_BITS * k
+
+
 def carries(mapping: Iterable[int], base: int, watched: Sequence[WatchedObject] = ()) -> list[Carried]:
     """Returns the bits of a board that a mapping carries; `base` is 6200h, 6000h or a maker's object.
 
@@ -54,7 +59,7 @@ def carries(mapping: Iterable[int], base: int, watched: Sequence[WatchedObject] 
         if widths.get(index) == count and sub > 0:
             carried.append(Carried((sub - 1) * count, place, count))
         elif (index, sub) in watched:
-            first = FIRST_WATCHED + WATCHED_BITS * watched.index(WatchedObject(index, sub))
+            first = first_watched(watched.index(WatchedObject(index, sub)))
             carried.append(Carried(first, place, min(count, WATCHED_BITS)))
         place += count
     return carried

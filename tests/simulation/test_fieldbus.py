@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from hyperbit.drivers.canopen.boards.board import BeatCount
+from hyperbit.drivers.canopen.boards.beat_count import BeatCount
 from hyperbit.drivers.canopen.boards.outputs import OutputLines
 from hyperbit.drivers.canopen.boot import configuration, pdo_search
 from hyperbit.drivers.canopen.boot.undo import Undo

@@ -6,9 +6,20 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
+from hyperbit.drivers.canopen.boards.beat_count import BeatCount
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.layout import BoardLayout
-from hyperbit.drivers.canopen.pdo import FIRST_WATCHED, INPUTS, WATCHED_BITS, Carried, Pdo, carries, subs_of, union
+from hyperbit.drivers.canopen.pdo import (
+    FIRST_WATCHED,
+    INPUTS,
+    WATCHED_BITS,
+    Carried,
+    Pdo,
+    carries,
+    first_watched,
+    subs_of,
+    union,
+)
 from hyperbit.drivers.canopen.sdo import objects
 from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
 from hyperbit.drivers.canopen.sdo.objects import Need
@@ -21,7 +32,6 @@ from hyperbit.drivers.canopen.wiring import WatchedObject
 
 ERROR_REGISTER = WatchedObject(0x1001, 0)  # emergencies have its value, too
 _INPUT_TIMEOUT = 0.3  # [s] for the answer with the inputs
-_WINDOW = 10  # length of a counting window in heartbeat periods
 
 
 @dataclass
@@ -42,28 +52,6 @@ class StateImage:
             self._missing[board.name] = board.actuators
             self.up &= ~board.input_lines
             self.known &= ~board.actuators
-
-
-class BeatCount:
-    """Counts the heartbeats of one node id: two boards send twice as many."""
-
-    def __init__(self) -> None:
-        self.period = 0.0  # of the heartbeat, as configured [s]; 0 if unknown, or with node guarding
-        self.heard = 0
-        self._windows = 0
-        self._began: float | None = None
-
-    def twice(self, now: float, stalled: bool) -> bool:
-        """Returns whether two successive windows of 10 periods had 15 heartbeats or more. Call at each tick.
-
-        Delayed frames arrive together, but only after a window with few of them.
-        """
-        if not self.period or stalled or self._began is None:
-            self._began, self.heard, self._windows = now, 0, 0
-        elif now - self._began >= _WINDOW * self.period:
-            self._windows = self._windows + 1 if self.heard >= 1.5 * _WINDOW else 0
-            self._began, self.heard = now, 0
-        return self._windows >= 2
 
 
 class Board:
@@ -183,7 +171,7 @@ class Board:
     def polled(self) -> bool:
         """Whether a watched object is in no TPDO."""
         carried = {each.bit for _, bits in self._tpdos.values() for each in bits}
-        return any(_first(k) not in carried for k in range(len(self.layout.watched)))
+        return any(first_watched(k) not in carried for k in range(len(self.layout.watched)))
 
     def begin_input_read(self) -> None:
         """Records a request of an input byte, 6000h, or of a watched object. A TPDO before the answer is newer."""
@@ -205,7 +193,7 @@ class Board:
         elif function == cia301.EMERGENCY and len(data) >= 2:
             self._receive_emergency(int.from_bytes(data[:2], "little"), data[2] if len(data) > 2 else 0)
             if len(data) > 2 and ERROR_REGISTER in self.layout.watched:
-                self._bring(_first(self.layout.watched.index(ERROR_REGISTER)), 8, data[2])
+                self._bring(first_watched(self.layout.watched.index(ERROR_REGISTER)), 8, data[2])
         elif function == cia301.SDO_ANSWER and len(data) == 8:
             self.runner.receive_sdo(data, now)
         else:
@@ -319,15 +307,15 @@ class Board:
             self._take(k, it, outcome)
 
     def _take(self, k: int, it: WatchedObject, outcome: SdoOutcome) -> None:
-        if self._brought >> _first(k) & 1:
+        if self._brought >> first_watched(k) & 1:
             return
         self.unread.pop(it, None)
         try:
             value = objects.watched(self.name, *it, self.layout.watched_bits(k).bit_length() - 1, outcome)
         except BoardError as error:
             self.unread[it] = error.fault.message
-            value = union(bit.place for bit in self.layout.inputs if bit.inverted) >> _first(k)  # all open
-        self._answer(_first(k), WATCHED_BITS, value)
+            value = union(bit.place for bit in self.layout.inputs if bit.inverted) >> first_watched(k)  # all open
+        self._answer(first_watched(k), WATCHED_BITS, value)
 
     def _polled(self, fault: ArmFault | None, now: float) -> None:
         self.poll_due = now + self._poll_period
@@ -339,11 +327,6 @@ class Board:
 
     def _fault(self, code: str, what: str) -> None:
         self.report(ArmFault(code, self.name, f"board {self.name}: {what}"))
-
-
-def _first(k: int) -> int:
-    """Returns the first bit of the watched object k in the number of a board's inputs."""
-    return FIRST_WATCHED + WATCHED_BITS * k
 
 
 def _ask_presence() -> Procedure:
