@@ -12,7 +12,7 @@ from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.layout import BoardLayout
 from hyperbit.drivers.canopen.pdo import INPUTS, OUTPUTS, Pdo, subs_of
 from hyperbit.drivers.canopen.sdo import objects
-from hyperbit.drivers.canopen.sdo.client import SdoOutcome
+from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
 from hyperbit.drivers.canopen.sdo.errors import Errors
 from hyperbit.drivers.canopen.sdo.objects import Need
 from hyperbit.drivers.canopen.sdo.procedure import BoardError, Step
@@ -75,7 +75,8 @@ def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState |
     yield from _error_behaviour(it)
     yield from _read(it, configuration.interrupts(it.layout))
     for k, each in enumerate(it.layout.watched):
-        objects.watched(it.name, *each, it.layout.watched_bits(k).bit_length() - 1, (yield Transfer(*each)))
+        outcome = yield from objects.answered(it.name, Transfer(*each))
+        objects.watched(it.name, *each, it.layout.watched_bits(k).bit_length() - 1, outcome)
 
 
 def ensure(it: Inspection, needs: list[Need]) -> Reading:

@@ -16,6 +16,7 @@ from hyperbit.drivers.canopen.sdo.objects import Need, abort_words
 from hyperbit.drivers.canopen.sdo.procedure import Step, Wait
 from hyperbit.drivers.canopen.wire.cia301 import wire_bits
 from hyperbit.drivers.canopen.wire.link import Link
+from hyperbit.drivers.canopen.wiring import Wiring
 
 _SHARE, _SHORTEST = 0.01, 0.05  # share of the bit rate, and shortest time between two reads on one bus [s]
 _ALL_WITHIN = 1.0  # [s] for the outputs of all boards of a bus after a switch
@@ -239,13 +240,14 @@ class InputWatch:
     rate. Watched objects are asked every 1.5 s; without a TPDO every 0.25 s, or as often as 10 % of the bit rate allow.
     """
 
-    def __init__(self, boards: Sequence[Board], links: Iterable[Link], interlocks: int) -> None:
+    def __init__(self, boards: Sequence[Board], links: Iterable[Link], wiring: Wiring) -> None:
         self._boards = boards
+        guarded = {lock.line.board for lock in wiring.interlocks if lock.watched is None}
         self._periods: dict[int, float] = {}
         self._polled_periods: dict[int, float] = {}  # of boards with watched objects
         for link in links:
             here = [b for b in self._boards if b.link is link]
-            guards = {b.index for b in here if b.layout.input_lines & interlocks}
+            guards = {b.index for b in here if (b.layout.bus, b.layout.node) in guarded}
             polls = 2 * wire_bits(8) * sum(len(b.layout.watched) for b in here) / (_POLLED_SHARE * link.wiring.bitrate)
             period = min(max(polls, _POLLED_EVERY), _INPUTS_EVERY)
             self._polled_periods |= {b.index: period for b in here if b.layout.watched}

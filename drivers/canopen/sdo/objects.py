@@ -147,6 +147,9 @@ def watched(board: str, index: int, sub: int, bit: int, outcome: SdoOutcome) -> 
     place, needed = f"{index:04X}h sub {sub}", f"an interlock of the arm's file needs its bit {bit}"
     if outcome.abort in ABSENT:
         raise BoardError(ArmFault("wrong-device", board, f"board {board} has no {place}; {needed}"))
+    if outcome.silence is not None:
+        text = f"board {board} does not answer to {place}: {outcome.silence}"
+        raise BoardError(ArmFault("board-missing", board, text))
     data = outcome.data or b""
     value = number(board, index, sub, len(data), outcome)
     if bit >= 8 * len(data):
