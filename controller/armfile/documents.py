@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.decoding.decoding import Unreadable, decode_once
 from hyperbit.controller.host.files import MOST, read_file
 
 if TYPE_CHECKING:
@@ -85,25 +86,6 @@ def read_text(path: Path, most: int = MOST) -> str:
         raise InputFaults(path, [f"cannot be read: {getattr(error, 'strerror', None) or error}"]) from None
 
 
-def parse_json(text: str) -> Any:
-    """Returns the plain value of a JSON text.
-
-    Raises:
-        ValueError, RecursionError: the text is not JSON, or a name occurs twice in one object.
-    """
-    return json.loads(text, object_pairs_hook=once)
-
-
-def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Returns the object of name-value pairs; json.loads would silently keep the last of equal names."""
-    fields = dict(pairs)
-    if len(fields) < len(pairs):
-        seen: set[str] = set()
-        twice = next(name for name, _ in pairs if name in seen or seen.add(name))  # type: ignore[func-returns-value]
-        raise ValueError(f"{twice!r} occurs twice in one object")
-    return fields
-
-
 def parse_payload(text: str, path: Path, what: str, field: str, most_yaml: int = MOST_YAML) -> dict[str, Any]:
     """Returns the payload in a text that is JSON or YAML. YAML 1.1 refuses tabs, and reads 1e-05 as text.
 
@@ -118,10 +100,10 @@ def parse_payload(text: str, path: Path, what: str, field: str, most_yaml: int =
         InputFaults: the text is neither, or no payload.
     """
     try:
-        value = parse_json(text)
-    except RecursionError:
-        raise InputFaults(path, [TOO_DEEP]) from None
-    except ValueError as error:
+        value = decode_once(text)
+    except Unreadable as error:
+        if error.deep:
+            raise InputFaults(path, [TOO_DEEP]) from None
         if path.suffix.lower() == ".json":
             raise InputFaults(path, [f"is not JSON: {error}"]) from None
         if len(text) > most_yaml:

@@ -41,7 +41,7 @@ def __getattr__(name: str) -> Console:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from rich.console import Console
 
-    globals()[name] = created = Console(stderr=name == "errors", highlight=False, soft_wrap=True)
+    globals()[name] = created = Console(stderr=name == "errors", markup=False, highlight=False, soft_wrap=True)
     return created
 
 
@@ -60,8 +60,8 @@ class Named(Struct, frozen=True):
 
 def refusal(answer: Mapping[str, Any], arm: str) -> CommandFailed:
     """Returns the error for a refusing answer or a failed result of an arm's daemon."""
-    status, message = answer.get("status", "refused"), answer["message"]
-    return CommandFailed(f"{status} (code {answer['code']}): {message}", advice(answer.get("reason"), arm))
+    status, message, code = answer.get("status", "refused"), answer.get("message", ""), answer.get("code", "unknown")
+    return CommandFailed(f"{status} (code {code}): {message}", advice(answer.get("reason"), arm))
 
 
 def print_json(value: object) -> None:

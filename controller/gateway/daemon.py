@@ -6,7 +6,6 @@ the Zenoh network and the ledger; none of them stops the arm.
 
 import contextlib
 import gc
-import json
 import logging
 import math
 import os
@@ -16,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -23,6 +23,7 @@ import zenoh
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.arm.warnings import file_warnings
+from hyperbit.controller.decoding.decoding import Unreadable, convert, decode
 from hyperbit.controller.flight_recorder import FlightRecorder, Label
 from hyperbit.controller.gateway.arrivals import RepeatedGoals
 from hyperbit.controller.gateway.outbox import Outbox
@@ -256,7 +257,7 @@ class Claim:
 
 def claimant(answer: bytes) -> Claimant:
     try:
-        value = json.loads(answer)
-        return msgspec.convert(value.get("daemon", value), Claimant)
-    except (ValueError, AttributeError, msgspec.ValidationError):  # of an earlier version
+        value = decode(answer, dict[str, Any])
+        return convert(value.get("daemon", value), Claimant)
+    except Unreadable:  # of an earlier version
         return Claimant("a host that it does not name", 0)

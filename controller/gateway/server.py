@@ -1,5 +1,6 @@
 """Receives requests over Zenoh, and hands each to the planner once. All answers go through the outbox."""
 
+import json
 import logging
 import os
 import socket
@@ -14,6 +15,7 @@ import msgspec
 import zenoh
 from zenoh.handlers import Callback
 
+from hyperbit.controller.decoding.decoding import Unreadable, decode
 from hyperbit.controller.gateway.arrivals import Clocks, FloodBrake, Rate, RepeatedGoals, Reply, keys_of
 from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses, decode_poses
@@ -164,7 +166,9 @@ class Way:
                 self._check_named(received.name, named=True)
                 message = decode_poses(received.payload)
                 if message.goal is not None:
-                    self._planner.decoder.decode("goal", msgspec.json.encode(message.goal))
+                    self._planner.decoder.decode(
+                        "goal", json.dumps(message.goal).encode()
+                    )  # writes also what JSON lacks
                 answer = self._poses.change(message)
                 self._outbox.count_poses_change()
                 self._answer(received, answer)
@@ -201,8 +205,8 @@ class Way:
     def _describe(self, received: Received) -> None:
         """Answers a query on `arm`; adds the parts that the planner's core does not know."""
         try:  # the parts asked for, as in {"with": ["drawing"]}; none for another form
-            parts = msgspec.json.decode(received.payload, type=dict[str, list[str]]).get("with", [])
-        except (msgspec.MsgspecError, RecursionError, UnicodeError):
+            parts = decode(received.payload, dict[str, list[str]]).get("with", [])
+        except Unreadable:
             parts = []
         static = self._planner.description(parts)
 
@@ -257,7 +261,7 @@ def noted_content(payload: bytes) -> dict[str, Any]:
     if not payload:
         return {"payload": None}
     try:
-        msgspec.json.decode(payload)
-    except (msgspec.MsgspecError, RecursionError, UnicodeError):
+        decode(payload)
+    except Unreadable:
         return {"payload": None, "text": payload[:MOST_TEXT].decode(errors="replace")}
     return {"payload": msgspec.Raw(payload)}

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import TypeVar
 
-import msgspec
+from hyperbit.controller.decoding.decoding import Unreadable, decode
 
 T = TypeVar("T")
 
@@ -105,12 +105,12 @@ def read_kept(path: Path, kind: type[T], then: str) -> T | None:
         then: what happens without a damaged file, for the log.
     """
     try:
-        return msgspec.json.decode(read_file(path), type=kind)
+        return decode(read_file(path), kind)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
         set_aside(path, error.strerror, then)
-    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+    except Unreadable as error:
         set_aside(path, error, then)
     return None
 

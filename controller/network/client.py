@@ -4,7 +4,6 @@ It imports nothing slow, because `hyperbit stop` uses it.
 """
 
 import contextlib
-import json
 import os
 import queue
 import socket
@@ -15,8 +14,10 @@ from typing import Any
 
 import msgspec
 import zenoh
+from msgspec import Struct
 
-Message = dict[str, Any]
+from hyperbit.controller.decoding.decoding import Unreadable
+from hyperbit.controller.network.messages import Answer, Description, Message, UnreadCount, filled, read
 
 # Attempts until a reply comes, and the first pause between them [s]; the last attempt uses a new session.
 TRIES, PAUSE = 4, 0.1
@@ -30,9 +31,9 @@ class Unanswered(RuntimeError):
 class Client:
     """A client of one arm's daemon.
 
-    A request without any reply is repeated, because Zenoh's routes may be stale. Each request has a number, so that the
-    daemon does not run a goal twice. `reopen` opens a new session for the last attempt; None: all attempts use
-    `session`. `prefix` is that of all keys.
+    A message that cannot be read is counted, and reaches no caller. A request without any reply is repeated, because
+    Zenoh's routes may be stale. Each request has a number, so that the daemon does not run a goal twice. `reopen` opens
+    a new session for the last attempt; None: all attempts use `session`. `prefix` is that of all keys.
     """
 
     def __init__(
@@ -43,7 +44,7 @@ class Client:
         prefix: str = "hyperbit",
     ) -> None:
         self._session, self._arm, self._reopen = session, arm, reopen
-        self._prefix = f"{prefix}/{arm}"
+        self._prefix, self._unread = f"{prefix}/{arm}", UnreadCount()
         self._name = f"{socket.gethostname()[:40]}:{os.getpid()}:{uuid.uuid4().hex[:8]}"
         self._opened: list[zenoh.Session] = []
         self._on_renewal: list[Callable[[], None]] = []
@@ -67,10 +68,12 @@ class Client:
             sending: entered while an attempt is sent; an exception from it ends the request.
 
         Raises:
-            Unanswered: no answer came within `timeout` seconds, or the daemon does not accept this client's requests.
+            Unanswered: no answer that can be read came within `timeout` seconds, or the daemon does not accept this
+                client's requests.
                 Without a `timeout`, the payload's time to its acceptance counts, and 2 s more.
         """
         timeout = answer_timeout(payload or {}) if timeout is None else timeout
+        form = Description if key == "arm" else Answer
         data, number = msgspec.json.encode(payload or {}), uuid.uuid4().hex.encode()
         until = time.monotonic() + timeout
         for attempt in range(TRIES):
@@ -93,7 +96,7 @@ class Client:
             for reply in replies:
                 if reply.ok is None:
                     late = True  # the time is over, but the request was received
-                elif (answer := readable(reply.ok, key)) is not None:
+                elif (answer := self._read(key, reply.ok, form)) is not None:
                     return answer
             if late:
                 break
@@ -101,6 +104,10 @@ class Client:
             why = "this client may lack the right, or send too often"
             raise Unanswered(f"the daemon of arm {self._arm!r} did not accept this {key}: {why}")
         raise Unanswered(f"no daemon for arm {self._arm!r} answered on {self._prefix}/{key}")
+
+    def describe(self) -> Message:
+        """Returns the daemon's answer on `arm`, as `request` does."""
+        return filled("arm", self.request("arm"))
 
     def put(self, key: str, payload: bytes) -> None:
         """Publishes a payload on `key`: setpoint or measured_tip. There is no answer.
@@ -116,14 +123,19 @@ class Client:
         Undeclare the subscriber before the session is closed, for instance by a `with` statement: Zenoh logs samples
         that arrive during the close as errors, on the standard output.
         """
-        return self._session.declare_subscriber(f"{self._prefix}/{key}", lambda sample: callback(decoded(sample)))
+
+        def receive(sample: zenoh.Sample) -> None:
+            if (message := self._read(key, sample)) is not None:
+                callback(message)
+
+        return self._session.declare_subscriber(f"{self._prefix}/{key}", receive)
 
     def next_message(self, key: str, timeout: float = 10.0) -> Message:
-        """Returns the next message on `key`. Raises Unanswered if no message came within `timeout` [s]."""
+        """Returns the next message on `key`, filled. Raises Unanswered if no message came within `timeout` [s]."""
         news: queue.SimpleQueue[Message] = queue.SimpleQueue()
         subscriber = self.subscribe(key, news.put)
         try:
-            return news.get(timeout=timeout)
+            return filled(key, news.get(timeout=timeout))
         except queue.Empty:
             raise Unanswered(f"no {key} from arm {self._arm!r} for {timeout:g} s") from None
         finally:
@@ -156,8 +168,8 @@ class Client:
 
         def hand_over(sample: zenoh.Sample) -> None:
             key = str(sample.key_expr).rpartition("/")[2]
-            if key in ("feedback", "result", "state"):
-                news.put((key, decoded(sample)))
+            if key in ("feedback", "result", "state") and (message := self._read(key, sample)) is not None:
+                news.put((key, message))
 
         # One subscriber for all keys: only within one subscriber do messages keep their order.
         subscribers = [self._session.declare_subscriber(f"{self._prefix}/*", hand_over)]
@@ -189,6 +201,14 @@ class Client:
             self._on_renewal.remove(move)
             subscribers[0].undeclare()  # type: ignore[no-untyped-call]
 
+    def _read(self, key: str, sample: zenoh.Sample, form: type[Struct] | None = None) -> Message | None:
+        """Returns a message; None if it cannot be read, as that of a stranger."""
+        try:
+            return read(key, sample.payload.to_bytes(), form)
+        except Unreadable as error:
+            self._unread.add(self._arm, key, error)
+            return None
+
     def _renew(self) -> None:
         if self._reopen is None:
             return
@@ -205,18 +225,3 @@ def answer_timeout(payload: Mapping[str, Any]) -> float:
         value if isinstance(value := payload.get(name), int | float) else None for name in ("deadline", "begin_within")
     )
     return ANSWER_TIMEOUT + (deadline or 0.0) if begin_within is None else begin_within + REPLY
-
-
-def readable(sample: zenoh.Sample, key: str) -> Message | None:
-    """Returns the answer of a daemon on `key`; None for an answer of another form, such as a stranger's."""
-    try:
-        answer = decoded(sample)
-    except (ValueError, RecursionError):
-        return None
-    known = isinstance(answer, dict) and (key == "arm" or isinstance(answer.get("accepted"), bool))
-    return answer if known else None
-
-
-def decoded(sample: zenoh.Sample) -> Message:
-    message: Message = json.loads(sample.payload.to_bytes())
-    return message

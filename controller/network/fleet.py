@@ -8,10 +8,12 @@ import threading
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import msgspec
 import zenoh
+
+from hyperbit.controller.decoding.decoding import Unreadable
+from hyperbit.controller.network.messages import Message, filled, read
 
 # All arms: of the session's own namespace, and of namespaces below it. No key matches both.
 OWN, BELOW = "hyperbit/*", "*/**/hyperbit/*"
@@ -45,8 +47,7 @@ class ArmStatus(NamedTuple):
 
     address: ArmAddress
     gone_at: float | None  # time at which its liveliness token disappeared [UNIX s]; None while it is alive
-    # fields `mode`, `reason`, `simulated`, `goal` and `faults` of the latest; None if none came, or it is unreadable
-    state: dict[str, Any] | None
+    state: Message | None  # the latest; None if none came, or it is unreadable
     age: float | None  # time since the arrival of the latest state [s]
     host: str | None  # computer of its daemon; None until the daemon has answered
     version: str | None  # of hyperbit there; None until the daemon has answered
@@ -58,40 +59,11 @@ class ArmStatus(NamedTuple):
         return self.age is None or self.age > OLD
 
 
-class FaultEntry(msgspec.Struct):
-    code: str
-    message: str
-    source: str = ""
-
-
-class ArmState(msgspec.Struct):
-    """The fields of `state` that lists of arms show."""
-
-    mode: str
-    reason: str = ""
-    simulated: bool = False
-    goal: str | None = None
-    faults: list[FaultEntry] = []  # msgspec copies it
-
-
-class Driver(msgspec.Struct):
-    """The field `daemon` of `arm`."""
-
-    host: str | None = None
-
-
-class Description(msgspec.Struct):
-    """The fields of `arm` that lists of arms show."""
-
-    version: str | None = None
-    daemon: Driver = msgspec.field(default_factory=Driver)
-
-
 @dataclass
 class Presence:
     gone_at: float | None = None  # UNIX [s]
     changed_at: float = 0.0  # time of the last token, or of its end, monotonic [s]
-    description: Description | None = None
+    description: Message | None = None
     asked_at: float = -DESCRIPTION_TIMEOUT  # [s]
 
 
@@ -170,10 +142,11 @@ class Fleet:
         found = []
         for address, arm in sorted(known.items()):
             data, heard = states.get(address, (b"", None))
-            about = arm.description or Description()
+            about = arm.description or {}
             age = None if heard is None else max(now - heard, 0.0)
             new = (heard is None or arm.description is None) and now - arm.changed_at < DESCRIPTION_TIMEOUT
-            found.append(ArmStatus(address, arm.gone_at, readable(data), age, about.daemon.host, about.version, new))
+            host, version = (about.get("daemon") or {}).get("host"), about.get("version")
+            found.append(ArmStatus(address, arm.gone_at, readable(data), age, host, version, new))
         return found
 
     # --- called by Zenoh's threads
@@ -199,9 +172,9 @@ class Fleet:
         if reply.ok is None or (address := address_of(str(reply.ok.key_expr))) is None:
             return
         try:
-            about = msgspec.json.decode(reply.ok.payload.to_bytes(), type=Description)
-        except (msgspec.MsgspecError, RecursionError, UnicodeError):
-            about = Description()  # the arm is not asked again
+            about = read("arm", reply.ok.payload.to_bytes())
+        except Unreadable:
+            about = {}  # the arm is not asked again
         with self._lock:
             if (arm := self._arms.get(address)) is not None:
                 arm.description = about
@@ -244,10 +217,9 @@ def is_name(text: str) -> bool:
     return 0 < len(text) <= 64 and text.isascii() and text.replace("-", "a").replace("_", "a").isalnum()
 
 
-def readable(data: bytes) -> dict[str, Any] | None:
-    """Returns the shown fields of a state; None if the state cannot be read."""
+def readable(data: bytes) -> Message | None:
+    """Returns a state; None if it cannot be read."""
     try:
-        state: dict[str, Any] = msgspec.to_builtins(msgspec.json.decode(data, type=ArmState))
-    except (msgspec.MsgspecError, RecursionError, UnicodeError):
+        return filled("state", read("state", data))
+    except Unreadable:
         return None
-    return state

@@ -5,11 +5,11 @@ import queue
 import time
 from typing import NamedTuple
 
-import msgspec
 import zenoh
 
-from hyperbit.controller.network.client import Message
+from hyperbit.controller.decoding.decoding import Unreadable
 from hyperbit.controller.network.fleet import PLACES, ArmAddress, address_of, alive
+from hyperbit.controller.network.messages import Answer, Message, read
 
 FIRST_WAIT, LONGEST_WAIT = 0.1, 1.0  # [s] until silent arms are asked again
 ROUNDS = 2  # least number: the second round finds arms that started during the first
@@ -63,8 +63,6 @@ def note(reply: zenoh.Reply, answers: dict[ArmAddress, Message]) -> None:
     if reply.ok is None or (address := address_of(str(reply.ok.key_expr))) is None:
         return
     try:
-        answer = msgspec.json.decode(reply.ok.payload.to_bytes(), type=Message)
-    except (msgspec.MsgspecError, RecursionError, UnicodeError):
+        answers[address] = read("stop", reply.ok.payload.to_bytes(), Answer)
+    except Unreadable:  # it counts as none: the arm is asked again
         return
-    if isinstance(answer.get("accepted"), bool) and isinstance(answer.get("message"), str):
-        answers[address] = answer

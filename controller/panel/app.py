@@ -3,7 +3,6 @@ import base64
 import contextlib
 import hashlib
 import html
-import json
 import logging
 import re
 import time
@@ -21,6 +20,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from hyperbit.controller.decoding.decoding import Unreadable, decode
 from hyperbit.controller.network.fleet import is_name
 from hyperbit.controller.network.reach import NoSession
 from hyperbit.controller.network.stop_all import stop_all
@@ -198,10 +198,10 @@ class PanelServer:
     async def _enter(self, request: Request) -> Response:
         """Begins a session in exchange for a token, and sets its cookie."""
         try:
-            token = json.loads(await request.body())["token"]
-        except (ValueError, KeyError, TypeError, RecursionError):
-            raise HTTPException(400, 'An object with "token" is needed.') from None
-        cookie = self._access.enter(token) if isinstance(token, str) else None
+            token = decode(await request.body(), dict[str, str])["token"]
+        except (Unreadable, KeyError):
+            raise HTTPException(400, 'An object with "token", a text, is needed.') from None
+        cookie = self._access.enter(token)
         if cookie is None:
             await self._delay(request)
             raise HTTPException(403, "This token is nobody's.")

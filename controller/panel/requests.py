@@ -2,8 +2,9 @@
 
 from typing import Annotated, Any, Literal
 
-import msgspec
 from msgspec import Meta, Struct
+
+from hyperbit.controller.decoding.decoding import Unreadable, decode
 
 MOST_BYTES = 1_100_000  # a goal's file of a million bytes, and the message around it
 
@@ -97,8 +98,6 @@ ControlRequest = (  # need control, and the number of a recent heartbeat, becaus
 )
 PageRequest = FreeRequest | ControlRequest
 
-_decoder = msgspec.json.Decoder(PageRequest)
-
 
 class BadRequest(ValueError):
     """A message is no valid request of a page; the text says why."""
@@ -109,7 +108,7 @@ def decode_request(data: str) -> PageRequest:
     if len(data) > MOST_BYTES:
         raise BadRequest(f"at most {MOST_BYTES} characters are accepted")
     try:
-        request: PageRequest = _decoder.decode(data)
-    except (msgspec.MsgspecError, RecursionError, UnicodeError) as error:
+        request: PageRequest = decode(data, PageRequest)
+    except Unreadable as error:
         raise BadRequest(f"not a request of this page: {error}") from None
     return request

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from hyperbit.controller.decoding.decoding import Unreadable, decode
 from hyperbit.controller.host.files import read_file
 from hyperbit.controller.host.keeper import lock_file
 from hyperbit.controller.planning.core.events import Identity, Record, ResultEntry
@@ -220,6 +221,6 @@ def published_path(arm: str, socket: Path) -> Path:
 
 def decoded(line: bytes) -> Mark | None:
     try:
-        return msgspec.json.decode(line, type=Mark)
-    except (msgspec.DecodeError, UnicodeDecodeError):
+        return decode(line, Mark)
+    except Unreadable:
         return None

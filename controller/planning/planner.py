@@ -1,7 +1,6 @@
 """The planner as the gateway uses it."""
 
 import contextlib
-import json
 import uuid
 from collections.abc import Callable, Collection, Iterator
 
@@ -11,6 +10,7 @@ import numpy as np
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.arm.description import density, description, drawing, file
 from hyperbit.controller.arm.weights import weights_of
+from hyperbit.controller.decoding.decoding import decode
 from hyperbit.controller.flight_recorder import FlightRecorder
 from hyperbit.controller.motion.decoding import payloads
 from hyperbit.controller.motion.decoding.goal import Id, check_reach, parse
@@ -106,7 +106,7 @@ class RequestDecoder:
                 return decode_degrade(payload)
             case "obstacles":
                 obstacles = decode_obstacles(payload, self._dimension)
-                return events.SentObstacles(obstacles, json.loads(payload)["regions"])
+                return events.SentObstacles(obstacles, decode(payload)["regions"])
             case "fault":
                 return decode_fault(payload)
             case "stop" | "reset" | "arm":

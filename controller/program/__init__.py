@@ -10,10 +10,11 @@ Each message is one packet of a SOCK_SEQPACKET socket, in MessagePack. A client 
 
 from collections.abc import Callable
 from functools import partial
-from typing import TypeVar
+from typing import Any
 
 import msgspec
 
+from hyperbit.controller.decoding.decoding import Unreadable, decode_packed
 from hyperbit.controller.program.down import (
     Acknowledge,
     Alive,
@@ -67,23 +68,21 @@ from hyperbit.controller.program.up import (
     Welcome,
 )
 
-T = TypeVar("T")
-
 
 class Malformed(ValueError):
     """A packet is not a message of this contract; the text says why."""
 
 
-def _decoded(decoder: msgspec.msgpack.Decoder[T], data: bytes) -> T:
+def _decoded(kind: Any, data: bytes) -> Any:
     if len(data) > MOST_BYTES:
         raise Malformed(f"the message has {len(data)} bytes, at most {MOST_BYTES} are accepted")
     try:
-        return decoder.decode(data)
-    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
+        return decode_packed(data, kind)
+    except Unreadable as error:
         raise Malformed(f"not a message of version {VERSION}: {error}") from None
 
 
 encode = msgspec.msgpack.Encoder().encode
 # Decode the message of a client, and one of the executor. Both raise Malformed if the packet is not a message.
-decode_down: Callable[[bytes], Down] = partial(_decoded, msgspec.msgpack.Decoder(Down))
-decode_up: Callable[[bytes], Up] = partial(_decoded, msgspec.msgpack.Decoder(Up))
+decode_down: Callable[[bytes], Down] = partial(_decoded, Down)
+decode_up: Callable[[bytes], Up] = partial(_decoded, Up)

@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import zenoh
 
+from hyperbit.controller.decoding.decoding import Unreadable, decode
 from hyperbit.controller.recorder.reader import SNAPSHOTS, RecordedMessage, RecordingReader
 
 JSON = zenoh.Encoding.APPLICATION_JSON
@@ -16,6 +17,7 @@ PUBLISH_EVERY = 0.2  # [s] between two messages on the key `timeline`
 LONGEST_WAIT = 0.05  # [s]
 FASTEST = 1000.0
 MOST_REQUESTS = 100  # for the timeline that wait; further ones are not answered
+LATEST = 1e11  # UNIX time [s]
 COMMANDS = ("goal", "jog", "cancel", "stop", "reset", "degrade", "obstacles", "plan")
 REFUSAL = {"accepted": False, "id": None, "code": -1, "message": "this is the past: a replay takes no commands"}
 
@@ -45,8 +47,9 @@ class Timeline:
             return f"{what}; its fields are at, speed and paused"
         at, speed, paused = request.get("at"), request.get("speed"), request.get("paused")
         for name, value in (("at", at), ("speed", speed)):
-            if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
-                return f"{name}: a number is needed"
+            number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LATEST
+            if value is not None and not number:
+                return f"{name}: a number is needed, below {LATEST:g}"
         if speed is not None and not 0.0 < speed <= FASTEST:
             return f"speed: a number above 0 and up to {FASTEST:g} is needed"
         if paused is not None and not isinstance(paused, bool):
@@ -135,8 +138,8 @@ class Player:
         data = b"" if query.payload is None else query.payload.to_bytes()
         before = self.timeline.at
         try:
-            refusal = self.timeline.change(msgspec.json.decode(data) if data else {})
-        except (msgspec.MsgspecError, RecursionError) as error:
+            refusal = self.timeline.change(decode(data) if data else {})
+        except Unreadable as error:
             refusal = f"no JSON: {error}"
         if self.timeline.at != before:
             self._seek()

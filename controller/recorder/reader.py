@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-import msgspec
 from mcap.reader import SeekingReader
 
+from hyperbit.controller.decoding.decoding import Unreadable, decode
 from hyperbit.controller.host.files import open_file
 from hyperbit.controller.network.fleet import is_name
 from hyperbit.controller.recorder.repair import BadRecording, guarded, rewrite, unfinished
@@ -75,10 +75,8 @@ class RecordingReader:
         self._topics = [prefix + key for key in keys if KEY.fullmatch(key) and key not in SKIPPED]
         latest = self._last("arm", self.end)
         try:
-            self.description: dict[str, Any] | None = (
-                None if latest is None else msgspec.json.decode(latest.data, type=dict)
-            )
-        except (msgspec.MsgspecError, UnicodeError, RecursionError):
+            self.description: dict[str, Any] | None = None if latest is None else decode(latest.data, dict[str, Any])
+        except Unreadable:
             self.description = None
 
     def close(self) -> None:

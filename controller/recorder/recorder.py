@@ -11,7 +11,9 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from hyperbit.controller.decoding.decoding import OTHER_FORM, Unreadable, decode
 from hyperbit.controller.network.listener import Listener, ReceivedMessage
+from hyperbit.controller.network.messages import read
 from hyperbit.controller.pictures.scene import FoxgloveScene
 from hyperbit.controller.recorder.folder import Folder
 from hyperbit.controller.recorder.recording import LogClock, Recording
@@ -26,7 +28,6 @@ ASK_EVERY = 5.0  # [s] between two requests for the arm's description, while the
 RETRY = 10.0  # [s] after a failure of the disk
 OWN = ("scene", "frames", "log")  # topics that the recorder makes; a message on such a key is recorded as "other"
 MOST_TOPICS = 100  # topics of unknown keys; further ones are recorded as "other"
-UNEXPECTED = (LookupError, TypeError, ValueError, AttributeError)  # raised by messages of another form than ours
 INFO, WARNING, ERROR = 2, 3, 4  # levels of foxglove.Log
 CLOCK_STEP = 1.0  # [s] by which the system's clock must be set to end a recording
 STEP_BEFORE = 0.001  # [s] before a change, at which the old frames are repeated
@@ -146,9 +147,9 @@ class Recorder:
             key, data = "alive", msgspec.json.encode({"alive": item.key == "alive"})
         else:
             key, data = self._plain(item.key, item.data)
-        message = msgspec.json.decode(data)
+        message = decode(data, dict[str, Any])
         self._write(key, key, data, at, published(message))
-        with contextlib.suppress(*UNEXPECTED):
+        with contextlib.suppress(*OTHER_FORM):
             for level, text in self._events.lines(key, message):
                 self._say(level, text, at)
         if key == "state":
@@ -163,9 +164,8 @@ class Recorder:
         if data == self.description:
             return
         try:
-            arm = msgspec.json.decode(data)
-            self._scene = FoxgloveScene(arm)
-        except (msgspec.MsgspecError, RecursionError, *UNEXPECTED) as error:
+            self._scene = FoxgloveScene(read("arm", data))
+        except OTHER_FORM as error:
             self._say(WARNING, f"the daemon's description of the arm cannot be drawn: {error}", at)
             self._scene = None
         else:
@@ -177,7 +177,7 @@ class Recorder:
         """Writes the arm's description: a message, the versions as metadata, and the arm's file."""
         if self.description is None:
             return
-        arm = msgspec.json.decode(self.description)
+        arm = read("arm", self.description)
         file = arm.get("file") or {}
         values = {
             "arm": self._arm,
@@ -222,7 +222,7 @@ class Recorder:
                     dict(zip(SCENE_FIELDS, before[1:], strict=True)), stamp / 1e9 - STEP_BEFORE
                 )
                 frames["transforms"][:0] = held["transforms"]
-        except UNEXPECTED as error:  # a state of another arm or version
+        except OTHER_FORM as error:  # a state of another arm or version
             self._say(WARNING, f"a state cannot be drawn: {error}", at)
             return
         self._write("scene", SCENE, scene, at, stamp)
@@ -232,11 +232,11 @@ class Recorder:
         """Returns topic and JSON object of a message of any form."""
         known = key not in OWN and (key in TOPICS or key in self._topics or len(self._topics) < MOST_TOPICS)
         try:
-            value = msgspec.json.decode(data)
-        except (msgspec.MsgspecError, RecursionError):
+            value = decode(data)
+        except Unreadable:
             return "other", msgspec.json.encode({"key": key, "text": data[:1000].decode(errors="replace")})
         if not known or not isinstance(value, dict):
-            return "other", msgspec.json.encode({"key": key, "value": value})
+            return "other", msgspec.json.encode({"key": key, "value": msgspec.Raw(data)})
         if key not in TOPICS:
             self._topics.add(key)
         return key, data

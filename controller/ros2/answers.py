@@ -8,14 +8,12 @@ import msgspec
 import zenoh
 from msgspec import Meta
 
+from hyperbit.controller.decoding.decoding import Unreadable, convert
+from hyperbit.controller.network import messages
 from hyperbit.controller.network.client import Client, Unanswered
 
 TIMEOUT = 10.0  # [s] for an answer of the daemon
 Code = Annotated[int, Meta(ge=-(2**31), lt=2**31)]
-Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
-Position = Annotated[list[Number], Meta(min_length=2, max_length=3)]
-Orientation = Number | Annotated[list[Number], Meta(min_length=4, max_length=4)]
-ActuatorState = Annotated[int, Meta(ge=0, le=1)]
 
 
 class Answer(msgspec.Struct, frozen=True):
@@ -35,13 +33,8 @@ class Answer(msgspec.Struct, frozen=True):
         return f"{self.message} ({self.reason})" if self.reason else self.message
 
 
-class TipPose(msgspec.Struct, frozen=True):
-    position: Position
-    orientation: Orientation | None = None
-
-
 class PlanAnswer(Answer, frozen=True):
-    waypoints: list[TipPose] = []
+    waypoints: list[messages.TipPose] = []
 
 
 class ArmAnswer(msgspec.Struct, frozen=True):
@@ -62,31 +55,10 @@ class GoalResult(msgspec.Struct, frozen=True):
         (self.status + self.message).encode()
 
 
-class Fault(msgspec.Struct, frozen=True):
-    code: str
-    source: str
-    message: str
+class State(messages.State):
+    """A ROS 2 message has its stamp in 32 bits."""
 
-
-class Target(msgspec.Struct, frozen=True):
-    """Where the arm is to be. `position` is None if the target is a configuration."""
-
-    position: Position | None = None
-    orientation: Orientation | None = None
-
-
-class State(msgspec.Struct, frozen=True):
-    """The fields of a `state` that the bridge publishes. A message without them is not published."""
-
-    stamp: Annotated[float, Meta(ge=0, lt=2**31)]
-    mode: str
-    reason: str
-    faults: Annotated[list[Fault], Meta(max_length=10_000)]
-    measured: list[ActuatorState | None] | None = None
-    commanded: list[ActuatorState | None] | None = None
-    tip: TipPose | None = None
-    target: Target | None = None
-    goal: str | None = None
+    stamp: Annotated[float, Meta(ge=0, lt=2**31)] = 0.0
 
 
 class SetpointCounts(msgspec.Struct, frozen=True):
@@ -124,6 +96,6 @@ def request(
     sent.
     """
     try:
-        return msgspec.convert(client.request(key, payload, timeout, sending), form)
-    except (msgspec.ValidationError, zenoh.ZError, ValueError, RecursionError) as error:
+        return convert(client.request(key, payload, timeout, sending), form)
+    except (Unreadable, zenoh.ZError) as error:
         raise Unanswered(f"the answer to {key} cannot be read: {error}") from None

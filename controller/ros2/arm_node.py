@@ -8,8 +8,7 @@ from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import msgspec
-
+from hyperbit.controller.decoding.decoding import convert
 from hyperbit.controller.manipulator.described import described
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.pictures.scene import FoxgloveScene
@@ -164,7 +163,7 @@ class ArmNode:
         self.health.publish(messages.diagnostics(str(self._arm["name"]), state, told, alive=self._alive))
         self._tell_dropped()
         if told is not None:
-            self._tell_refused(msgspec.convert(told.get("setpoint", {}), SetpointCounts))
+            self._tell_refused(convert(told.get("setpoint", {}), SetpointCounts))
 
     def _tell_dropped(self) -> None:
         dropped = self._node.dropped()

@@ -5,10 +5,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import msgspec
-
+from hyperbit.controller.decoding.decoding import OTHER_FORM, decode
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.network.listener import Listener, ReceivedMessage
+from hyperbit.controller.network.messages import UnreadCount, read
 from hyperbit.controller.ros2.answers import GoalResult, State
 from hyperbit.controller.ros2.arm_node import ArmNode, Settings
 from hyperbit.controller.ros2.goal_book import GoalBook
@@ -17,8 +17,6 @@ from hyperbit.controller.ros2.wire.session import Session
 PERIOD = 0.02  # [s] between two states
 SLOW = 1.0  # [s] between two diagnostics, and between two repetitions of markers
 ASK_EVERY = 5.0  # [s] for the arm's description, while there is none
-# Raised by messages of another form than the daemon's.
-UNEXPECTED = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError, msgspec.MsgspecError)
 log = logging.getLogger(__name__)
 
 
@@ -34,7 +32,7 @@ class Bridge:
         self.description = b""
         self._latest: dict[str, dict[str, Any]] = {}  # the last `state` and `diagnostics`
         self._new_state = False
-        self._told = ""  # the last error that was logged
+        self._unread = UnreadCount()
         self._asked = self._slow = -ASK_EVERY  # times of the last question and of slow messages [s]
 
     def run(self, ending: Callable[[], bool], beat: Callable[[], None]) -> None:
@@ -54,7 +52,7 @@ class Bridge:
             self.node = None
 
     def receive_message(self, item: ReceivedMessage) -> None:
-        """Accepts a message of the arm. Raises UNEXPECTED and changes nothing if the message has another form."""
+        """Accepts a message of the arm. Raises OTHER_FORM and changes nothing if the message has another form."""
         node = self.node
         match item.key:
             case "arm":
@@ -65,8 +63,7 @@ class Bridge:
                 self._asked = -ASK_EVERY if item.key == "alive" else self._asked
                 self.description = b"" if item.key == "alive" else self.description
             case "state":
-                state = msgspec.json.decode(item.data, type=dict[str, Any])
-                msgspec.convert(state, State)
+                state = read("state", item.data, State)
                 if node is not None:
                     node.receive_state(state)
                 before = self._latest.get("state", {})
@@ -74,9 +71,9 @@ class Bridge:
                     self.description = b""
                 self._latest["state"], self._new_state = state, True
             case "diagnostics":
-                self._latest["diagnostics"] = msgspec.json.decode(item.data, type=dict[str, Any])
+                self._latest["diagnostics"] = read("diagnostics", item.data)
             case "result" if node is not None:
-                node.receive_result(msgspec.json.decode(item.data, type=GoalResult))
+                node.receive_result(decode(item.data, GoalResult))
 
     def tick(self, now: float) -> None:
         """Publishes what is new or due; `now` [s]."""
@@ -96,17 +93,15 @@ class Bridge:
             self._attempt(self.node.publish_slowly, state, self._latest.get("diagnostics"))
 
     def _attempt(self, function: Callable[..., None], *arguments: Any) -> None:
-        """Calls a function. Reports the first message that has another form than the daemon's; goes on after each."""
+        """Calls a function. Counts a message that has another form than the daemon's, and goes on."""
         try:
             function(*arguments)
-        except UNEXPECTED as error:
-            if repr(error) != self._told:
-                log.warning("%s: the daemon's message has another form: %r", function.__name__, error)
-            self._told = repr(error)
+        except OTHER_FORM as error:
+            self._unread.add("unknown" if self.node is None else self.node.name, function.__name__, error)
 
     def _describe(self, data: bytes) -> None:
         """Accepts the arm's description. Another arm needs a new node; other obstacles do not."""
-        arm = msgspec.json.decode(data, type=dict[str, Any])
+        arm = read("arm", data)
         if self.node is not None and self.node.describes(arm):
             self.node.receive_obstacles(arm)
         else:

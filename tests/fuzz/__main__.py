@@ -17,6 +17,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from tests.fuzz.readers import SAMPLES
+
 # Runs by target and engine; one of "executor", "packets" and "board" holds many inputs. What atheris keeps is replayed.
 JOBS = [
     [("executor", "atheris", 8_000), ("executor", "replay", 1_500)],
@@ -42,10 +44,11 @@ JOBS = [
     [("obstacles", "hypothesis", 10_000)],
     [("board", "hypothesis", 4_000)],
     [("recording", "hypothesis", 1_500)],
+    *([(name, "mutations", 20_000)] for name in SAMPLES),
 ]
 LONGEST = 1800.0  # [s] for one of them
 LEAK = 0.01  # share by which the blocks held may grow after a fifth of the runs
-ROW = "{:10} {:11} {:>10} {:>10} {:>8} {:>8} {:>8} {:>8} {:>9}"
+ROW = "{:12} {:11} {:>10} {:>10} {:>8} {:>8} {:>8} {:>8} {:>9}"
 
 
 def attack(job: tuple[str, str, int], room: Path) -> dict[str, Any]:

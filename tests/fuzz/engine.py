@@ -1,8 +1,9 @@
 """Fuzzes one target with one engine and writes the figures: python -m tests.fuzz.engine TARGET ENGINE RUNS OUT.
 
-hypothesis generates inputs from strategies; atheris (libFuzzer) mutates seeds, guided by code coverage. Both begin with
-the same random seed on each run. Engines need memory themselves. So "replay" runs the inputs of atheris repeatedly
-without instrumentation, to measure leaks of the program itself.
+"mutations" changes valid inputs, each in a way that its number decides. hypothesis generates inputs from strategies;
+atheris (libFuzzer) mutates seeds, guided by code coverage. Both begin with the same random seed on each run. Engines
+need memory themselves. So "replay" runs the inputs of atheris repeatedly without instrumentation, to measure leaks of
+the program itself.
 """
 
 from __future__ import annotations
@@ -103,6 +104,7 @@ def by_hypothesis(name: str, runs: int, out: Path) -> None:
     from tests.fuzz.targets import TARGETS
 
     target = TARGETS[name]
+    assert target.strategy is not None
     record = Record(target.build, name, runs)
     for data in target.seeds + target.found(name):
         record.take(data)
@@ -117,6 +119,17 @@ def by_hypothesis(name: str, runs: int, out: Path) -> None:
     while record.count < runs:
         seed(turn)(quiet(given(target.strategy)(record.take)))()
         turn += 1
+    out.write_text(json.dumps(record.result()))
+
+
+def by_mutations(name: str, runs: int, out: Path) -> None:
+    """Runs numbered mutations of the seeds: odd bytes, odd values, odd lengths."""
+    from tests.fuzz.targets import TARGETS
+
+    target = TARGETS[name]
+    record = Record(target.build, name, runs)
+    for number in range(runs):
+        record.take(target.mutation(name, number))
     out.write_text(json.dumps(record.result()))
 
 
@@ -174,5 +187,5 @@ def by_atheris(name: str, runs: int, out: Path) -> None:
 
 if __name__ == "__main__":
     _name, _engine, _runs, _out = sys.argv[1:]
-    engines = {"hypothesis": by_hypothesis, "atheris": by_atheris, "replay": by_replay}
+    engines = {"hypothesis": by_hypothesis, "atheris": by_atheris, "replay": by_replay, "mutations": by_mutations}
     engines[_engine](_name, int(_runs), Path(_out))

@@ -93,10 +93,12 @@ class Boards:
 class Lines(logging.Handler):
     def __init__(self) -> None:
         super().__init__(logging.INFO)
-        self.count, self.last = 0, ""
+        self.count, self.last, self.traceback = 0, "", ""
 
     def emit(self, record: logging.LogRecord) -> None:
         self.count += 1
+        if record.exc_info:
+            self.traceback = logging.Formatter().formatException(record.exc_info)
         self.last = record.getMessage()
 
 

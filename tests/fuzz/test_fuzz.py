@@ -14,8 +14,11 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.fuzz.frames import KNOWN, Boards, act
 from tests.fuzz.judge import Flood, Moved
+from tests.fuzz.readers import MOST_LINES, SAMPLES, Quiet
 from tests.fuzz.targets import TARGETS
 from tests.fuzz.world import World
+
+MUTATIONS = 100  # of each reader; `make fuzz` runs 20,000
 
 
 @pytest.fixture(autouse=True)
@@ -48,6 +51,29 @@ def test_hypothesis_finds_nothing(name, examples):
         attack(data)
 
     run()
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_mutations_end_no_reader(name):
+    target = TARGETS[name]
+    attack = target.build()
+    for number in range(MUTATIONS):
+        attack(target.mutation(name, number))
+
+
+def test_a_traceback_and_a_flood_of_lines_are_found():
+    log = logging.getLogger("reader")
+
+    def take(key, data):
+        log.warning("%s cannot be read", key, exc_info=ValueError("odd") if data == b"odd" else None)
+
+    with pytest.raises(AssertionError, match="ValueError: odd"):
+        Quiet(take, starts=False)(b"state\nodd")
+    attack = Quiet(take, starts=False)
+    for _ in range(MOST_LINES):
+        attack(b"state\n{}")
+    with pytest.raises(Flood, match="the last: state cannot be read"):
+        attack(b"state\n{}")
 
 
 def test_a_frame_that_no_goal_asks_for_is_found():

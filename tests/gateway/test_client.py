@@ -44,7 +44,7 @@ def test_a_request_that_only_a_stranger_has_answered_is_asked_again(gateway: Gat
     def answer(query: zenoh.Query) -> None:
         heard.append(query)
         with query:
-            query.reply("hyperbit/b/stop", b"{}" if len(heard) == 1 else b'{"accepted": true}')
+            query.reply("hyperbit/b/stop", b"{}" if len(heard) == 1 else b'{"accepted": true, "message": ""}')
 
     queryable = gateway.other().declare_queryable("hyperbit/b/stop", answer)
     assert Client(gateway.other(), "b").request("stop", timeout=PATIENCE)["accepted"]

@@ -121,6 +121,8 @@ def test_poses_over_zenoh(endpoint: str) -> None:
         assert [pose["name"] for pose in client.request("arm")["poses"]] == ["home", "pick"]
         wrong = client.request("poses", {"save": "far", "goal": {}})
         assert (wrong["accepted"], "waypoints" in wrong["message"]) == (False, True)
+        odd = client.request("poses", {"save": "odd", "goal": {**PICK, "deadline": 10**400}})
+        assert (odd["accepted"], odd["reason"] != "internal-error") == (False, True)
         missing = client.request("poses", {"remove": "far"})
         assert (missing["accepted"], missing["reason"]) == (False, "unknown-pose")
         assert client.request("poses", {"remove": "pick"})["accepted"]

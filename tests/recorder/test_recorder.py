@@ -125,7 +125,9 @@ def test_a_recording_begins_with_the_clock_as_it_is_then(tmp_path: Path, arm: Ar
     assert "the system's clock was set by" in on(read(before), "log")[-1]["message"]
 
 
-@pytest.mark.parametrize("data", [b"no JSON", b"", b"\xff\xfe", b"[1, 2]", b"null", b"1", b'{"a": ', b"[" * 5000])
+@pytest.mark.parametrize(
+    "data", [b"no JSON", b"", b"\xff\xfe", b'{"a": "\xff"}', b"[1, 2]", b"null", b"1", b'{"a": ', b"[" * 5000]
+)
 def test_whatever_is_published_is_recorded(tmp_path: Path, recorder: Recorder, arm: Arm, data: bytes) -> None:
     for key in ("goal", "setpoint", "state", "result", "request", "some/thing"):
         recorder.receive_message(heard(1.0, key, data))

@@ -122,14 +122,14 @@ def report(file: Path, arm: Arm, fields: dict[str, Any], warnings: list[str], bo
         f" {len(arm.manipulator.actuators)} actuators on {len(named_boards(arm.settings))} boards: no fault"
     )
     for warning in warnings:
-        common.console.print(f"Warning: {warning}", style="yellow", markup=False)
+        common.console.print(f"Warning: {warning}", style="yellow")
     for name, value in summary_lines(fields):
-        common.console.print(f"  {name:<15} {value}", markup=False)
+        common.console.print(f"  {name:<15} {value}")
     for board in boards:
         style = None if board["ok"] else "red"
-        common.console.print(f"  {board['board']}: {board['answer']}", style=style, markup=False)
+        common.console.print(f"  {board['board']}: {board['answer']}", style=style)
     for note in dict.fromkeys(note for board in boards for note in board.get("notes", ())):
-        common.console.print(f"  EDS, {note}", style="dim", markup=False)
+        common.console.print(f"  EDS, {note}", style="dim")
 
 
 def summary(codes: Iterable[str]) -> str:

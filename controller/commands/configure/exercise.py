@@ -15,6 +15,7 @@ from hyperbit.controller.commands import ENDPOINT, common
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, arm_name, print_json, results_table
 from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.network.messages import filled
 
 if TYPE_CHECKING:
     from hyperbit.controller.network.client import Client
@@ -48,7 +49,7 @@ def exercise(
     first fault ends the exercise. Ctrl-C cancels the motion.
     """
     with connected(arm, connect, zenoh_file) as client:
-        description = client.request("arm")
+        description = client.describe()
         chosen = choose(actuators or [], description["actuators"])
         where = dict(zip(description["actuators"], commanded(client), strict=True))
         if not yes:
@@ -65,7 +66,7 @@ def exercise(
                     if as_json:
                         print_json(travels[-1]._asdict())
         except KeyboardInterrupt:
-            common.errors.print("interrupted: canceling the motion", markup=False)
+            common.errors.print("interrupted: canceling the motion")
             client.request("cancel")
             raise typer.Exit(130) from None
         except CommandFailed as error:
@@ -96,7 +97,7 @@ def commanded(client: Client) -> list[int]:
 
 
 def move(client: Client, label: str, state: str) -> MeasuredTravel:
-    result = client.run({"actuators": {label: state}}, key="jog")
+    result = filled("result", client.run({"actuators": {label: state}}, key="jog"))
     if "status" not in result or result["code"] != 0:
         status = result.get("status", "refused")
         raise CommandFailed(f"{label} to {state}: {status} (code {result['code']}): {result['message']}")
@@ -110,7 +111,7 @@ def report(travels: list[MeasuredTravel], description: Mapping[str, Any], as_jso
         print_json({"proposal": "\n".join(lines)})
         return
     wired = {f"{board['module']}.{board['actuator']}": board for board in description["boards"]}
-    table = results_table("actuator", *(rf"{field} \[ms]" for field in FIELDS.values()))
+    table = results_table("actuator", *(f"{field} [ms]" for field in FIELDS.values()))
     for label in dict.fromkeys(travel.actuator for travel in travels):
         own = {travel.state: travel for travel in travels if travel.actuator == label}
         table.add_row(label, *(shown(own.get(state), wired.get(label, {}), state) for state in FIELDS))
@@ -118,7 +119,7 @@ def report(travels: list[MeasuredTravel], description: Mapping[str, Any], as_jso
     if lines:
         common.console.print(f"\nproposal for the arm's file, {RESERVE - 1:.0%} over the longest measured:\n")
         for line in lines:
-            common.console.print(line, markup=False)
+            common.console.print(line)
 
 
 def shown(travel: MeasuredTravel | None, wired: Mapping[str, Any], state: str) -> str:

@@ -45,9 +45,9 @@ def probe(
         if as_json:
             print_json(as_mapping(node))
             continue
-        common.console.print(f"{channel}/{node.node}", markup=False)
+        common.console.print(f"{channel}/{node.node}")
         for what, text in rows(node, channel):
-            common.console.print(f"  {what:<16} {text}", markup=False)
+            common.console.print(f"  {what:<16} {text}")
     if not nodes:
         raise CommandFailed(f"no node answers on {channel} ({interface}): check power, cable, termination and bit rate")
 

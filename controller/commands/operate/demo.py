@@ -43,7 +43,8 @@ from hyperbit.controller.pictures import plots
 from hyperbit.controller.workspace.densities import Densities
 
 if TYPE_CHECKING:
-    from hyperbit.controller.network.client import Client, Message
+    from hyperbit.controller.network.client import Client
+from hyperbit.controller.network.messages import Message
 
 PAPER_TARGETS = [[3.0, 0.7], [0.55, 2.9], [0.4, 2.9]]
 CURVE_WAYPOINTS = 36
@@ -236,7 +237,7 @@ def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes],
             while not accepts(address):
                 if daemon.poll() is not None or time.monotonic() > until:
                     log.seek(0)
-                    errors.print(log.read(), markup=False)
+                    errors.print(log.read())
                     raise CommandFailed("the daemon did not start; its log is above")
                 time.sleep(0.05)
             yield daemon, endpoint
@@ -275,7 +276,7 @@ def run(client: Client, waypoints: list[dict[str, Any]], what: str) -> Message:
                 progress.update(task, completed=message["waypoint"] + 1)
 
         result = client.run({"waypoints": waypoints}, follow)
-    if result["code"] != 0:
+    if result.get("code") != 0:
         raise CommandFailed(f"{what}: {result['message']}")
     return {**result, "worst": max(*errors_seen, result["error"])}
 

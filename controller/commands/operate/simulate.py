@@ -72,6 +72,6 @@ def obey(simulation: Simulation) -> None:
     for line in iter(lambda: sys.stdin.buffer.readline(LONGEST_LINE).decode(errors="replace"), ""):
         try:
             if line.strip():
-                console.print(simulation.play_fault(line), markup=False)
+                console.print(simulation.play_fault(line))
         except ValueError as error:
-            errors.print(f"not done: {error}", markup=False)
+            errors.print(f"not done: {error}")

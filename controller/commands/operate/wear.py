@@ -41,7 +41,7 @@ def wear(
     if as_json:
         print_json({"ledger": str(path), "simulated": simulated, "switches": counts, "goals": goals})
         return
-    common.console.print(f"ledger {path}{' of simulated boards' if simulated else ''}", markup=False)
+    common.console.print(f"ledger {path}{' of simulated boards' if simulated else ''}")
     most = max(max(counts.values()), 1)
     table = Table("actuator", "switches", "", title=f"{sum(counts.values())} switches, the most worn first")
     for label, count in sorted(counts.items(), key=lambda item: -item[1]):
@@ -82,5 +82,5 @@ def ledger_of(name: str, *, simulated: bool = False) -> Path:
             if path in parts:
                 times[path] = max(part.stat().st_mtime for part in parts)
         except OSError as error:
-            common.errors.print(f"{path}: {error.strerror}; root can read the service's ledger", markup=False)
+            common.errors.print(f"{path}: {error.strerror}; root can read the service's ledger")
     return max(times, key=lambda path: times[path], default=ledgers[0])

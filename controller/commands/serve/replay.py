@@ -89,7 +89,7 @@ def opened_recording(file: Path) -> Iterator[RecordingReader]:
         raise InputFaults(file, [str(error).removeprefix(f"{file}: ")]) from None
     with contextlib.closing(past):
         if not past.whole:
-            common.errors.print(f"{file} is incomplete: its readable part is replayed", markup=False)
+            common.errors.print(f"{file} is incomplete: its readable part is replayed")
         try:
             yield past
         except BadRecording as error:
@@ -105,7 +105,7 @@ def play(
     ending = ending_event()
     with open_zenoh(config) as session, contextlib.closing(Player(past, session, prefix, timeline)) as player:
         what = f"{timeline.end - timeline.begin:.0f} s of {past.arm} on {prefix}/{past.arm}"
-        common.console.print(f"replaying {what} at {endpoint}", markup=False)
+        common.console.print(f"replaying {what} at {endpoint}")
         player.play(ending.is_set, stay=stay)
 
 
@@ -125,7 +125,7 @@ def compare_goals(past: RecordingReader, file: Path | None, as_json: bool) -> No
         if as_json:
             print_json(line)
         elif it.outcome != "equal":
-            common.console.print(f"goal {it.id} {it.outcome}: {it.reason}", markup=False)
+            common.console.print(f"goal {it.id} {it.outcome}: {it.reason}")
 
     try:
         compare(past, file, show)
@@ -134,6 +134,6 @@ def compare_goals(past: RecordingReader, file: Path | None, as_json: bool) -> No
     if not as_json:
         words = f"{counts['equal']} goals led to the same configurations, {counts['differs']} to others;"
         words += f" {counts['unproven']} differ, but were not proven optimal; {counts['skipped']} cannot be compared"
-        common.console.print(words, markup=False)
+        common.console.print(words)
     if counts["differs"] or not counts["equal"]:
         raise CommandFailed("no recorded goal can be compared" if not counts["differs"] else "configurations differ")

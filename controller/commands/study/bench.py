@@ -84,7 +84,7 @@ def bench(
         for title, about in (("sets", SETS), ("methods", {name: entry.summary for name, entry in METHODS.items()})):
             common.console.print(f"{title}:")
             for name, text in about.items():
-                common.console.print(f"  {name:24}{text}", markup=False)
+                common.console.print(f"  {name:24}{text}")
         return
     sharing, chosen, silent = (
         checked_sharing(workers, dask),
@@ -145,7 +145,7 @@ def print_result(result: SetResult) -> None:
     common.print_table(table(result))
     for row in result.rows:
         for example in row.examples:
-            common.console.print(f"  {row.method}: {example}", markup=False)
+            common.console.print(f"  {row.method}: {example}")
 
 
 def write_figures(file: Path, results: Iterable[SetResult], sharing: Sharing) -> None:

@@ -147,7 +147,7 @@ def print_results(found: Iterable[Row], options: PlanOptions, *, as_json: bool, 
             print_json(row.line)
         return
     work = "effort" if options.effort is not None else "ms"
-    columns = "goal", "configuration", "position", r"th \[rad]", "error", "switches", work
+    columns = "goal", "configuration", "position", "th [rad]", "error", "switches", work
     table, wholes = results_table(*columns), list[dict[str, Any]]()
     if many:
         console.print("  ".join(columns))

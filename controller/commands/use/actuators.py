@@ -16,6 +16,7 @@ from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, Loc
 from hyperbit.controller.commands.common import CommandFailed, counted, print_json, refusal
 from hyperbit.controller.commands.connection import ask, connected
 from hyperbit.controller.network.endpoints import START
+from hyperbit.controller.network.messages import filled
 
 PAUSE = 0.002  # [s]; deploy/zenoh-tls.json5 drops a second request of a kind within a millisecond
 SILENCE = 10.0  # [s] without a state, after which the daemon is lost
@@ -53,9 +54,10 @@ def jog(
         result = client.run({"actuators": actuators}, show, key="jog")
     if as_json and "status" in result:
         print_json(result)
-    if result["code"] != 0:
+    if result.get("code") != 0:
         raise refusal(result, arm)
     if not as_json:
+        result = filled("result", result)
         times = [f"{travel['actuator']} in {travel['seconds'] * 1e3:.0f} ms" for travel in result["travels"]]
         typer.echo(f"{result['message']}, {counted(result['switches'])}" + (f": {', '.join(times)}" if times else ""))
 
@@ -85,7 +87,7 @@ def locked_state(states: queue.SimpleQueue[dict[str, Any]], wanted: dict[str, in
     """Returns the first state with these locks, None: free, in which the planner's tables are built."""
     while True:
         try:
-            state = states.get(timeout=SILENCE)
+            state = filled("state", states.get(timeout=SILENCE))
         except queue.Empty:
             raise CommandFailed("locked, but the daemon does not publish its state", START) from None
         locks = {entry["actuator"]: entry["state"] for entry in state["degraded"]}

@@ -34,7 +34,7 @@ def obstacles(
         payload = parse_payload(read_text(file), file, "regions", "regions")
     with connected(arm, connect, zenoh_file) as client:
         if file is None and not none:
-            print_obstacles(client.request("arm"), as_json)
+            print_obstacles(client.describe(), as_json)
         else:
             ask(client, arm, "obstacles", payload, as_json)
 
@@ -46,7 +46,9 @@ def print_obstacles(description: dict[str, Any], as_json: bool) -> None:
         return
     for source, entries in told.items():
         for entry in entries:
-            kind = next(kind for kind in KINDS if entry.get(kind))
+            kind = next((kind for kind in KINDS if entry.get(kind)), None)
+            if kind is None:
+                continue
             fields = ", ".join(f"{name} {value}" for name, value in entry[kind].items() if value is not None)
             name = f" {entry['name']!r}" if entry.get("name") else ""
             typer.echo(f"{kind.replace('_', '-')}{name}: {fields} ({'in the file' if source == 'file' else source})")

@@ -37,13 +37,13 @@ def poses(
     goal = None if file is None else read_goal(file)
     with connected(arm, connect, zenoh_file) as client:
         if save is not None:
-            if not replace and save in (pose["name"] for pose in client.request("arm")["poses"]):
+            if not replace and save in (pose["name"] for pose in client.describe()["poses"]):
                 raise CommandFailed(f"{arm} has a pose {save!r} already", "give another name, or --replace")
             ask(client, arm, "poses", {"save": save, "goal": goal or present(client, arm)}, as_json)
         elif remove is not None:
             ask(client, arm, "poses", {"remove": remove}, as_json)
         else:
-            print_poses(client.request("arm")["poses"], as_json)
+            print_poses(client.describe()["poses"], as_json)
 
 
 def present(client: Client, arm: str) -> dict[str, Any]:
@@ -58,13 +58,13 @@ def print_poses(listed: list[dict[str, Any]], as_json: bool) -> None:
         if as_json:
             print_json(pose)
             continue
-        waypoints = pose["goal"]["waypoints"]
-        more = "" if len(waypoints) == 1 else f", and {len(waypoints) - 1} more waypoints"
-        typer.echo(f"{pose['name']}: {shown(waypoints[0])}{more}")
+        waypoints = pose["goal"].get("waypoints", [])
+        more = "" if len(waypoints) < 2 else f", and {len(waypoints) - 1} more waypoints"
+        typer.echo(f"{pose['name']}: {shown(waypoints[0]) if waypoints else 'no waypoint'}{more}")
 
 
 def shown(waypoint: dict[str, Any]) -> str:
     if "configuration" in waypoint:
         return f"configuration {waypoint['configuration']}"
-    position = ", ".join(f"{x:g}" for x in waypoint["position"])
+    position = ", ".join(f"{x:g}" for x in waypoint.get("position", ()))
     return f"({position})" + (" with an orientation" if waypoint.get("orientation") is not None else "")

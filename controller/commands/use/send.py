@@ -17,6 +17,7 @@ from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, Zen
 from hyperbit.controller.commands.common import CommandFailed, counted, parse_goal, print_json, refusal
 from hyperbit.controller.commands.connection import connected
 from hyperbit.controller.commands.goal_rows import Orientation, goal_rows
+from hyperbit.controller.network.messages import filled
 
 if TYPE_CHECKING:
     from hyperbit.controller.network.client import Client
@@ -61,7 +62,7 @@ def send(
         if pose is not None:
             goal = {**goal_of_pose(client, arm, pose), **goal}
         if to is not None and numbers == 3:  # X,Y,Z or X,Y,TH: the arm's dimension decides
-            goal["waypoints"] = [waypoint(*parse_goal(to.split(","), client.request("arm")["dimension"], "--to"))]
+            goal["waypoints"] = [waypoint(*parse_goal(to.split(","), client.describe()["dimension"], "--to"))]
         result = run_goal(client, goal, as_json)
     print_result(result, arm, as_json)
 
@@ -86,7 +87,7 @@ def waypoint(position: list[float], orientation: Orientation, t: float | None = 
 
 
 def goal_of_pose(client: Client, arm: str, name: str) -> dict[str, Any]:
-    known = {pose["name"]: pose["goal"] for pose in client.request("arm")["poses"]}
+    known = {pose["name"]: pose["goal"] for pose in client.describe()["poses"]}
     if name not in known:
         raise CommandFailed(f"{arm} has no pose {name!r}; it has {', '.join(known)}", f"hyperbit poses {arm}")
     goal: dict[str, Any] = known[name]
@@ -99,13 +100,13 @@ def run_goal(client: Client, goal: dict[str, Any], as_json: bool) -> dict[str, A
     def show(message: dict[str, Any]) -> None:
         if as_json:
             print_json(message)
-        elif "waypoint" in message:
-            error = "unknown" if message["error"] is None else errors_of(message)
+        elif message.get("waypoint") is not None:
+            message = filled("feedback", message)
             common.console.print(
-                f"waypoint {message['waypoint'] + 1} of {message['waypoints']}: error {error},"
+                f"waypoint {message['waypoint'] + 1} of {message['waypoints']}: error {errors_of(message)},"
                 f" {counted(message['switches'])} so far"
             )
-        elif message["accepted"]:
+        elif message.get("accepted"):
             common.console.print(message["message"])
 
     goal.setdefault("id", uuid.uuid4().hex[:12])
@@ -119,26 +120,29 @@ def run_goal(client: Client, goal: dict[str, Any], as_json: bool) -> dict[str, A
 def print_result(result: dict[str, Any], arm: str, as_json: bool) -> None:
     if as_json and "status" in result:
         print_json(result)
-    if result["code"] != 0:
+    if result.get("code") != 0:
         raise refusal(result, arm)
     if not as_json:
-        position = ", ".join(f"{x:.4f}" for x in result["position"])
+        result = filled("result", result)
+        position = ", ".join(f"{x:.4f}" for x in result["position"] or ()) or "unknown"
         common.console.print(f"reached ({position}), error {errors_of(result)}, {counted(result['switches'])}")
         if (why := result["message"].removeprefix("reached").lstrip("; ")) != "":
-            common.console.print(why, markup=False)
+            common.console.print(why)
 
 
 def cancel_goal(client: Client, goal: str, as_json: bool) -> None:
     """Cancels the goal of an interrupted command, and no other goal; prints the daemon's answer."""
-    common.errors.print(f"interrupted: canceling goal {goal}", markup=False)
+    common.errors.print(f"interrupted: canceling goal {goal}")
     answer = client.request("cancel", {"id": goal})
     if as_json:
         print_json(answer)
     else:
-        common.console.print(f"goal {goal}: {answer['message']}", markup=False)
+        common.console.print(f"goal {goal}: {answer['message']}")
 
 
 def errors_of(message: dict[str, Any]) -> str:
     """Returns the position error in a message, and the orientation error [rad] if the goal has an orientation."""
+    if message["error"] is None:
+        return "unknown"
     angle = message["orientation_error"]
     return f"{message['error']:.4f}" + ("" if angle is None else f" and {angle:.4f} rad")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import queue
 import sys
 import time
@@ -21,8 +22,10 @@ from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, Zen
 from hyperbit.controller.commands.common import CommandFailed, arm_name, drawn, print_json
 from hyperbit.controller.commands.connection import connected
 from hyperbit.controller.network.endpoints import START
+from hyperbit.controller.network.messages import filled
 
 COLOURS = {"ready": "green", "executing": "cyan", "starting": "yellow", "fault": "red", "stopped": "red"}
+LOOP = ("longest_period", "mean_work", "longest_work", "overruns")  # times of the executor's loop
 
 
 def watch(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
@@ -35,7 +38,7 @@ def watch(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = Non
         contextlib.suppress(KeyboardInterrupt),
     ):
         in_lines = as_json or not common.console.is_terminal
-        view, last = View(arm_name(arm), [] if in_lines else client.request("arm")["actuators"]), ""
+        view, last = View(arm_name(arm), [] if in_lines else client.describe()["actuators"]), ""
         with contextlib.ExitStack() as stack:
             live = None if in_lines else stack.enter_context(Live(view, console=common.console, auto_refresh=False))
             while True:
@@ -47,9 +50,10 @@ def watch(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = Non
                     continue
                 if as_json and key == "state":
                     print_json(message)
-                elif live is None and key == "state" and (line := line_of(message)) != last:
-                    moment = time.strftime("%H:%M:%S", time.localtime(message["stamp"]))
-                    sys.stdout.write(f"{moment} {line}\n")
+                    continue
+                message = filled(key, message)
+                if live is None and key == "state" and (line := line_of(message)) != last:
+                    sys.stdout.write(f"{clock_of(message)} {line}\n")
                     sys.stdout.flush()
                     last = line
                 if live is None:
@@ -57,6 +61,10 @@ def watch(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = Non
                 view.receive_message(key, message)
                 if news.empty():
                     live.update(view, refresh=True)
+
+
+def clock_of(state: dict[str, Any]) -> str:
+    return time.strftime("%H:%M:%S", time.localtime(state["stamp"]))
 
 
 def line_of(state: dict[str, Any]) -> str:
@@ -107,24 +115,23 @@ class View:
         if (diagnostics := self._latest.get("diagnostics")) is not None:
             parts.append(self._hardware(diagnostics))
         simulated = ", simulated" if state.get("simulated") else ""
-        return Panel(
-            Group(*parts), title=f"{self._arm}{simulated}  {time.strftime('%H:%M:%S', time.localtime(state['stamp']))}"
-        )
+        return Panel(Group(*parts), title=Text(f"{self._arm}{simulated}  {clock_of(state)}"))
 
     def _summary(self, state: dict[str, Any]) -> RenderableType:
         table = Table.grid(padding=(0, 2))
-        table.add_row("mode", Text(state["mode"], style=f"bold {COLOURS[state['mode']]}"), state["reason"])
+        table.add_row("mode", Text(state["mode"], style=f"bold {COLOURS.get(state['mode'], '')}"), state["reason"])
         table.add_row("tip", where_of(state), f"configuration {state['configuration'] or 'unknown'}")
         table.add_row("goal", state["goal"] or "none", progress_of(state))
         return table
 
     def _actuators(self, state: dict[str, Any]) -> RenderableType:
-        commanded = state["commanded"] or [None] * len(state["measured"])
+        measured = state["measured"] or []
+        commanded = state["commanded"] or [None] * len(measured)
         text = Text("actuators by module (base first, ")
         extended, contracted = drawn("▮", "#"), drawn("▯", "-")
         text.append(f"{extended} extended, {contracted} contracted, ").append("? unknown, ", style="yellow")
         text.append("red: not as commanded", style="red").append(")\n")
-        for k, (wanted, is_) in enumerate(zip(commanded, state["measured"], strict=True)):
+        for k, (wanted, is_) in enumerate(zip(commanded, measured, strict=True)):
             text.append(" " if k in self._firsts else "")
             style = "red" if wanted is not None and is_ is not None and wanted != is_ else "none"
             text.append(
@@ -143,10 +150,11 @@ class View:
         boards = Text(f"{len(diagnostics['boards']) - len(faulty)} of {len(diagnostics['boards'])} boards operational")
         for board in faulty:
             boards.append(f"\n{board['bus']}/{board['node']}: {board['state']} {board['emergency'] or ''}", style="red")
-        loop = diagnostics["loop"]
+        loop = diagnostics.get("loop", {})
+        period, work, longest, overruns = (loop.get(name, math.nan) for name in LOOP)
         figures = Text(
-            f"control loop: longest period {loop['longest_period'] * 1e3:.1f} ms, work {loop['mean_work'] * 1e3:.2f} ms"
-            f" (longest {loop['longest_work'] * 1e3:.2f}), {loop['overruns']:.0f} overruns\n"
+            f"control loop: longest period {period * 1e3:.1f} ms, work {work * 1e3:.2f} ms"
+            f" (longest {longest * 1e3:.2f}), {overruns:.0f} overruns\n"
             f"{diagnostics['switches']} switches since start; ledger {diagnostics['ledger']}"
         )
         return Group(buses, boards, figures)

@@ -13,7 +13,6 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
-import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from hyperbit.controller.armfile.choices import LARGEST
 from hyperbit.controller.armfile.settings import Angle, AngleTolerance, Coordinate
 from hyperbit.controller.armfile.strict import UNIT
+from hyperbit.controller.decoding.decoding import Unreadable, decode
 from hyperbit.controller.motion.decoding.payloads import check_size, converted, object_in
 from hyperbit.controller.motion.trajectory import MOST_POINTS, Trajectory, along, through
 from hyperbit.controller.refusals.reasons import Reason
@@ -92,7 +92,6 @@ class Jog(NamedTuple):
 
 
 _NAMES = [b'"%s"' % name.encode() for kind in (GoalMessage, Waypoint, Tolerance) for name in kind.__struct_fields__]
-_decode = msgspec.json.Decoder(GoalMessage).decode
 
 
 def parse(payload: bytes) -> GoalMessage:
@@ -149,8 +148,8 @@ def parse_quickly(payload: bytes) -> GoalMessage | None:
 def decoded(payload: bytes) -> GoalMessage | None:
     """Returns the message in a payload, without the checks of `parse`; None if there is none."""
     try:
-        return _decode(payload)
-    except (msgspec.DecodeError, RecursionError, UnicodeError):
+        return decode(payload, GoalMessage)
+    except Unreadable:
         return None
 
 

@@ -5,8 +5,8 @@ from typing import Any, TypeVar
 import msgspec
 from msgspec import Struct
 
-from hyperbit.controller.armfile.documents import parse_json
 from hyperbit.controller.armfile.strict import check
+from hyperbit.controller.decoding.decoding import Unreadable, convert, decode_once
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal, all_faults
 
@@ -42,11 +42,11 @@ def object_in(payload: bytes, kind: type[Struct], name: str) -> dict[str, Any]:
         Refusal: not UTF-8, not JSON, a name occurs twice in an object, or not an object.
     """
     try:
-        value: Any = parse_json(payload.decode("utf-8"))
+        value = decode_once(payload.decode())
     except UnicodeDecodeError as error:
         byte = f"{payload[error.start]:02x}"
         raise Refusal(Reason.NOT_UTF8, what=name, byte=error.start, value=byte) from None
-    except (ValueError, RecursionError) as error:
+    except Unreadable as error:
         raise Refusal(Reason.NOT_JSON, what=name, error=str(error)) from None
     if not isinstance(value, dict):
         every = msgspec.structs.fields(kind)
@@ -62,8 +62,8 @@ def converted(value: dict[str, Any], kind: type[S], name: str) -> S:
         Refusal: it is none; the refusal names each field at fault.
     """
     try:
-        return msgspec.convert(value, kind)
-    except (msgspec.ValidationError, RecursionError, UnicodeError):  # the slower check names each fault
+        return convert(value, kind)
+    except Unreadable:  # the slower check names each fault
         faults: list[str] = []
     try:
         check(value, kind, faults)

@@ -9,7 +9,9 @@ from typing import Any
 
 import msgspec
 
+from hyperbit.controller.decoding.decoding import OTHER_FORM
 from hyperbit.controller.network.client import Client, Unanswered
+from hyperbit.controller.network.messages import Message, UnreadCount
 from hyperbit.controller.panel.arms.arm_history import ArmHistory
 from hyperbit.controller.panel.arms.drawing import Drawing, cloud, picture
 from hyperbit.controller.panel.arms.faults import advised
@@ -17,8 +19,6 @@ from hyperbit.controller.panel.arms.pages import Control, Page
 from hyperbit.controller.panel.arms.replay_clock import ReplayClock
 
 log = logging.getLogger(__name__)
-
-Message = dict[str, Any]
 
 ASK_AGAIN = 2.0  # [s] after an arm did not answer
 SILENT = 5.0  # [s] without a state, after which an arm without liveliness token counts as gone
@@ -35,7 +35,7 @@ class ArmView:
     `known`: a message of the arm was received; `alive`: its daemon's liveliness token exists.
     """
 
-    def __init__(self, name: str, client: Client, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, name: str, client: Client, loop: asyncio.AbstractEventLoop, unread: UnreadCount) -> None:
         self.name, self.client, self.known, self.alive = name, client, False, False
         self.pages: set[Page] = set()
         self.control, self.history = Control(), ArmHistory()
@@ -44,6 +44,7 @@ class ArmView:
         self.background: tuple[str, bytes] | None = None
         self.state: Message | None = None  # latest payload of `state`
         self.diagnostics: Message | None = None  # latest payload of `diagnostics`
+        self._unread = unread
         self._loop, self._heard, self._liveliness = loop, -math.inf, time.monotonic()
         self._sections: dict[str, bytes] = {}
         self._arm: Message = {}
@@ -132,12 +133,11 @@ class ArmView:
             self._ask("drawing", "density", "running")
         self.publish_presence(time.monotonic())
 
-    def hear_state(self, data: bytes, at: float) -> None:
+    def hear_state(self, state: Message, at: float) -> None:
         """Accepts a payload of `state` that arrived at time `at` [s]."""
-        state: Message = msgspec.json.decode(data, type=dict[str, Any])
         faults = advised(state.get("faults", ()))
         changed = self.history.state(state)
-        before, self.state, self._heard, self.known = self.state, state, at, True  # the state can be read
+        before, self.state, self._heard, self.known = self.state, state, at, True
         described = ("goal", "obstacles", "poses", "mode")  # the description changes with these
         if before is None or any(state.get(name) != before.get(name) for name in described):
             self._ask("running", *(() if self.drawing else ("drawing", "density")))
@@ -223,8 +223,8 @@ class ArmView:
                 continue
             except Unanswered as error:
                 log.info("arm %s: %s", self.name, error)
-            except Exception:
-                log.exception("arm %s: the description cannot be read", self.name)
+            except OTHER_FORM as error:
+                self._unread.add(self.name, "arm", error)
             self._again = self.alive  # otherwise the request is repeated when the daemon is back
             await asyncio.sleep(ASK_AGAIN)
 

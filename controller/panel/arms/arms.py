@@ -10,8 +10,10 @@ from typing import Any
 import msgspec
 import zenoh
 
+from hyperbit.controller.decoding.decoding import Unreadable
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.network.fleet import is_name
+from hyperbit.controller.network.messages import UnreadCount, read
 from hyperbit.controller.network.reach import NoSession
 from hyperbit.controller.panel.arms.arm_view import ArmView
 from hyperbit.controller.panel.arms.metrics import Counters
@@ -50,6 +52,7 @@ class Arms:
         self._pages: set[Page] = set()
         self.alive = set[str]()  # names whose liveliness token exists
         self._latest: dict[str, tuple[bytes, float]] = {}  # unprocessed states with times of arrival [s]
+        self._unread = UnreadCount()
         self._pending, self._lock = 0, threading.Lock()
         liveliness = session.liveliness()
         keys = (*KEYS, *(REPLAY_KEYS if replay else ()))
@@ -141,7 +144,7 @@ class Arms:
         if name not in self.views:
             if not is_name(name) or (len(self.views) >= MOST_ARMS and not self._drop_longest_silent(shown=shown)):
                 return None
-            view = self.views[name] = ArmView(name, self.client(name), self._loop)
+            view = self.views[name] = ArmView(name, self.client(name), self._loop, self._unread)
             if name in self.alive:
                 view.hear_alive(True)
         return self.views[name]
@@ -163,14 +166,9 @@ class Arms:
         if (view := self._view(name)) is None:
             return
         try:
-            message = msgspec.json.decode(data, type=dict[str, Any])
-        except (msgspec.MsgspecError, RecursionError):
-            log.warning("arm %s: a message on %s is not JSON", name, key)
-            return
-        try:
-            self._accept(view, key, message)
-        except Exception:
-            log.exception("arm %s: a message on %s cannot be read", name, key)
+            self._accept(view, key, read(key, data))
+        except Unreadable as error:
+            self._unread.add(name, key, error)
 
     def _accept(self, view: ArmView, key: str, message: dict[str, Any]) -> None:
         if key == "result" and message.get("repeated") and view.history.has_result(message.get("id")):
@@ -190,21 +188,29 @@ class Arms:
         elif alive:
             self._view(name)
 
+    def hear_states(self, *, due: bool) -> None:
+        """Accepts the latest states of arms that a page shows, and if `due` those of all arms."""
+        for name in list(self._latest):
+            if (view := self._view(name)) is None:
+                del self._latest[name]
+            elif view.pages or due:
+                data, at = self._latest.pop(name)
+                try:
+                    view.hear_state(read("state", data), at)
+                except Unreadable as error:
+                    self._unread.add(name, "state", error)
+                except Exception:
+                    log.exception("arm %s: a state is not shown", name)
+                else:
+                    self.counters.state(name, view.state or {})
+
     async def _run(self) -> None:
         presence = 0.0
         while True:
             now = time.monotonic()
             due = now - presence >= PRESENCE_EVERY
             presence = now if due else presence
-            for name in list(self._latest):
-                if (view := self._view(name)) is None:
-                    del self._latest[name]
-                elif view.pages or due:
-                    try:
-                        view.hear_state(*self._latest.pop(name))
-                        self.counters.state(name, view.state or {})
-                    except Exception:
-                        log.exception("arm %s: a state cannot be read", name)
+            self.hear_states(due=due)
             if due:
                 for view in list(self.views.values()):
                     if not view.present and view.silence(now) > GONE_SHOWN:

@@ -1,6 +1,7 @@
 """Line segments of an arm, and its density as a picture, computed for the page."""
 
 import base64
+import math
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
@@ -17,6 +18,7 @@ from hyperbit.controller.manipulator.notation import parse_configuration
 Message = dict[str, Any]
 
 DIGITS = 5  # coordinates are rounded to this number of digits of the arm's length
+MOST_PIXELS = 100_000_000  # a forged one would fill the memory
 MOST_POINTS = 4000  # points of a spatial density
 
 
@@ -72,8 +74,17 @@ class Drawing:
 
 
 def shades_of(density: Message) -> NDArray[np.uint8]:
-    """Decodes the `density` of `arm`: pixels (z, y, x), 0 outside the workspace, else 1 to 255."""
-    data = zlib.decompress(base64.b64decode(density["values"]))
+    """Decodes the `density` of `arm`: pixels (z, y, x), 0 outside the workspace, else 1 to 255.
+
+    Raises ValueError if it has another form.
+    """
+    size = math.prod(density["shape"])
+    if size > MOST_PIXELS:
+        raise ValueError(f"a density of {size} pixels, at most {MOST_PIXELS} are drawn")
+    try:
+        data = zlib.decompressobj().decompress(base64.b64decode(density["values"]), size + 1)
+    except zlib.error as error:
+        raise ValueError(f"a density that is not compressed: {error}") from None
     return np.frombuffer(data, dtype=np.uint8).reshape(density["shape"])
 
 

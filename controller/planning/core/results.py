@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from hyperbit.controller.armfile.locks import STATES
+from hyperbit.controller.decoding.decoding import Unreadable, decode_packed
 from hyperbit.controller.host.journal import fields_of_result
 from hyperbit.controller.host.process import Log
 from hyperbit.controller.motion.stages.feed import PlanProof
@@ -186,9 +187,10 @@ class Results:
 def decode_context(data: bytes) -> Context | None:
     """Returns the context in a result; None if it cannot be decoded, as from another version of the planner."""
     try:
-        return msgspec.msgpack.decode(data, type=Context)
-    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError):
+        context: Context = decode_packed(data, Context)
+    except Unreadable:
         return None
+    return context
 
 
 # --- the outcome, and the payload of a result

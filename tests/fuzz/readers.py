@@ -1,0 +1,450 @@
+"""The readers of wires and files. Each takes a key, or a file's name, and bytes that anybody may have sent."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import io
+import json
+import logging
+import os
+import random
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import msgspec
+import zenoh
+from rich.console import Console
+
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import CommandFailed
+from hyperbit.controller.commands.connection import ask
+from hyperbit.controller.commands.use import fleet as fleet_command
+from hyperbit.controller.commands.use import watch as watch_command
+from hyperbit.controller.commands.use.obstacles import print_obstacles
+from hyperbit.controller.commands.use.poses import print_poses
+from hyperbit.controller.commands.use.send import print_result
+from hyperbit.controller.gateway.arrivals import Clocks, RepeatedGoals
+from hyperbit.controller.gateway.daemon import claimant
+from hyperbit.controller.gateway.outbox import Outbox
+from hyperbit.controller.gateway.poses import Poses
+from hyperbit.controller.gateway.server import GatewayParts, Server
+from hyperbit.controller.host.files import read_kept
+from hyperbit.controller.network.client import Client, Unanswered
+from hyperbit.controller.network.fleet import ArmAddress, Fleet, Presence
+from hyperbit.controller.network.listener import ReceivedMessage
+from hyperbit.controller.network.messages import filled
+from hyperbit.controller.network.stop_all import note
+from hyperbit.controller.panel.access.access import Access
+from hyperbit.controller.panel.access.people import Person, read_people
+from hyperbit.controller.panel.access.sessions import Session
+from hyperbit.controller.panel.app import PanelServer
+from hyperbit.controller.panel.arms import arm_view
+from hyperbit.controller.panel.arms.arms import Arms
+from hyperbit.controller.panel.arms.metrics import exposition
+from hyperbit.controller.panel.arms.pages import Page
+from hyperbit.controller.panel.requests import BadRequest, decode_request
+from hyperbit.controller.planning.core.goal import Context
+from hyperbit.controller.planning.core.results import decode_context
+from hyperbit.controller.planning.planner import RequestDecoder
+from hyperbit.controller.program import Accepted, Malformed, Question, decode_down, decode_up, encode
+from hyperbit.controller.recorder.folder import Folder
+from hyperbit.controller.recorder.player import Player, Timeline
+from hyperbit.controller.recorder.reader import RecordingReader
+from hyperbit.controller.recorder.recorder import Limits, Recorder
+from hyperbit.controller.ros2.goal_book import GoalBook
+from hyperbit.controller.ros2.wire.cdr import BadMessage, deserialize
+from tests.fuzz import requests
+from tests.fuzz.frames import Lines
+from tests.fuzz.judge import Flood
+from tests.fuzz.mutations import HEAD
+from tests.fuzz.packets import MESSAGES
+from tests.fuzz.still import Query, Reply, Sample, StillSession
+from tests.gateway.conftest import FakePlanner
+from tests.keys import DEPLOY
+from tests.panel.conftest import PEOPLE
+from tests.ros2.fuzz.inputs import KINDS, Inputs
+from tests.ros2.fuzz.world import World
+from tests.ros2.samples import TYPES, state, told
+
+ROOM = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+Take = Callable[[str, bytes], None]
+MOST_LINES = 60  # of the log, however many inputs there are
+
+FAULT = {"code": "board-lost", "source": "can0/5", "message": "board can0/5 is silent"}
+STATE = {
+    **state(faults=[FAULT], target={"position": [0.5, 2.8], "orientation": 0.1}, goal="a-1", waypoint=0),
+    **{"progress": {"waypoints": 5, "reached": 2, "begins": 95.0, "ends": 103.2}, "bias": [0.0, 0.001]},
+    **{"degraded": [{"actuator": "5.left", "state": 0}], "poses": 1},
+}
+DIAGNOSTICS = {
+    "buses": [
+        {
+            **{"name": "can0", "state": "connected", "load": 0.1, "worst_case": {"load": 0.3}, "dropped": 0},
+            **{"tx_frames": 1, "rx_frames": 2, "tx_errors": 0, "rx_errors": 0},
+        }
+    ],
+    "boards": [{"bus": "can0", "node": 5, "state": "lost", "emergency": None, "heartbeat_age": 0.1}],
+    "loop": {
+        **{"late_p50": 1e-4, "late_p99": 1e-3, "late_worst": 0.001, "longest_period": 0.011},
+        **{"mean_work": 1e-4, "longest_work": 2e-4, "overruns": 0.0},
+    },
+    **{"switches": 5, "ledger": "ok", "counts": [0] * 48, "queues": {"goals": 0}, "waits": 0, "executor": "connected"},
+    "setpoint": {"received": 1, "refused": 0, "last_refusal": None},
+}
+ANSWER = {"accepted": True, "code": 0, "message": "accepted", "id": "a-1"}
+RESULT = {
+    **{"id": "a-1", "status": "succeeded", "code": 0, "message": "reached", "switches": 3, "error": 0.001},
+    **{"orientation_error": None, "position": [0.5, 2.8], "certificate": "optimal", "travels": [], "repeated": False},
+}
+FEEDBACK = {
+    **{"id": "a-1", "waypoint": 0, "waypoints": 5, "configuration": "0" * 16, "error": 0.001},
+    **{"orientation_error": None, "switches": 3},
+}
+POSE = {"name": "home", "goal": {"waypoints": [{"configuration": "0" * 16}]}}
+OBSTACLES = requests.OBSTACLES["regions"]
+ARM = {
+    **told(),
+    **{"limits": [], "sent_obstacles": OBSTACLES, "poses": [POSE], "daemon": {"host": "robot", "pid": 1}},
+    **{"running": {"goal": "a-1", "waypoints": [[0.5, 2.8]]}, "file": {"name": "a.yaml", "text": "a: 1", "sha256": ""}},
+}
+PUBLISHED = {
+    **{"state": STATE, "diagnostics": DIAGNOSTICS, "result": RESULT, "feedback": FEEDBACK, "arm": ARM},
+    "request": {"stamp": 1.5e9, "key": "goal", "payload": requests.GOAL, "answer": ANSWER},
+    "timeline": {"begin": 1.0, "end": 9.0, "at": 2.0, "speed": 1.0, "paused": False, "file": "a.mcap"},
+}
+
+
+class Quiet:
+    """A reader whose log is bounded and has no traceback. `starts`: each input is read at a start."""
+
+    def __init__(self, take: Take, *, starts: bool) -> None:
+        self._take, self._starts, self._lines = take, starts, Lines()
+        self._lines.setLevel(logging.WARNING)
+        logging.getLogger().addHandler(self._lines)
+
+    def __call__(self, data: bytes) -> int:
+        head, _, payload = data.partition(HEAD)
+        self._take(head.decode(), payload)
+        if self._lines.traceback:
+            raise AssertionError(f"a traceback in the log: {self._lines.traceback}")
+        if self._lines.count > MOST_LINES:
+            raise Flood(f"{self._lines.count} lines of the log, the last: {self._lines.last}")
+        if self._starts:
+            self._lines.count = 0
+        return 1
+
+
+def daemon() -> Take:
+    """The gateway, with the daemon's own decoders of requests."""
+    session, goals = StillSession(), RepeatedGoals()
+    planner: Any = FakePlanner()
+    planner.decoder = RequestDecoder(load(DEPLOY / "planar16.yaml"))
+    folder = Path(tempfile.mkdtemp(dir=ROOM))
+    outbox = Outbox(session, "hyperbit/a", goals.ended, lambda *_: None, lambda _: None, lambda _: None)  # type: ignore[arg-type]
+    parts = GatewayParts(
+        planner, outbox, goals, Poses(folder / "p.json", "0"), lambda _: None, Clocks(pause=lambda _: None)
+    )
+    server = Server(session, "a", parts)  # type: ignore[arg-type]
+
+    def take(key: str, data: bytes) -> None:
+        if key == "setpoint":
+            session.subscribers[f"hyperbit/a/{key}"](Sample(f"hyperbit/a/{key}", zenoh.ZBytes(data)))
+            return
+        query = Query(f"hyperbit/a/{key}", data)
+        session.queryables[f"hyperbit/a/{key}"](query)
+        while outbox.step():
+            pass
+        while outbox.waiting():
+            outbox.step()
+        (answer,) = [json.loads(reply) for reply in query.replies]
+        assert answer.get("reason") != "internal-error", answer
+        assert key == "arm" or (isinstance(answer["accepted"], bool) and answer["message"]), answer
+
+    take.server = server  # type: ignore[attr-defined]
+    return take
+
+
+def recorder() -> Take:
+    folder = Path(tempfile.mkdtemp(dir=ROOM))
+    one = Recorder("planar16", Folder(folder, "planar16"), Limits(10**7, 10**9))
+
+    def take(key: str, data: bytes) -> None:
+        one.receive_message(ReceivedMessage(time.monotonic_ns(), key, data))
+        one.turn()
+        for old in sorted(folder.glob("*.mcap"))[:-1]:
+            old.unlink()
+
+    return take
+
+
+def page() -> Take:
+    """The page's view of an arm, with an open page, and the metrics."""
+    session, loop = StillSession(), asyncio.new_event_loop()
+
+    async def opened() -> tuple[Arms, Page]:
+        arms = Arms(session, "hyperbit", lambda: [], replay=True)  # type: ignore[arg-type]
+        one = Page(Person("anna", "operator"))
+        arms.open(one, "planar16")
+        return arms, one
+
+    arms, one = loop.run_until_complete(opened())
+    for task in arms._tasks:
+        task.cancel()
+
+    async def turn(key: str, data: bytes) -> None:
+        view = arms.views["planar16"]
+        if key == "arm":
+            session.answer, view._again = data, True
+            view._wanted = {"drawing", "running", "density"}
+            with mock.patch.object(arm_view, "ASK_AGAIN", 0.0):
+                await view._answer()
+        else:
+            session.subscribers[f"hyperbit/*/{key}"](Sample(f"hyperbit/planar16/{key}", zenoh.ZBytes(data)))
+            for _ in range(3):
+                await asyncio.sleep(0)
+            arms.hear_states(due=True)
+            view.cancel_request()  # of a description, which this state asks for
+        for section in one._latest.values():
+            json.loads(section)
+        exposition(arms.known(), arms.counters)
+
+    return lambda key, data: loop.run_until_complete(turn(key, data))
+
+
+def page_request() -> Take:
+    def take(key: str, data: bytes) -> None:
+        with contextlib.suppress(BadRequest):
+            msgspec.json.encode(decode_request(data.decode("utf-8", "surrogateescape")))
+
+    return take
+
+
+def http() -> Take:
+    """The log-in, headers and paths of the page's server."""
+    server, loop = PanelServer(StillSession, Access(PEOPLE)), asyncio.new_event_loop()  # type: ignore[arg-type]
+    server._wrong.delay = lambda address: 0.0  # type: ignore[method-assign]
+
+    async def ask_server(key: str, data: bytes) -> list[Any]:
+        sent: list[Any] = []
+        path = (
+            data.decode("utf-8", "replace") if key == "path" else "/metrics" if key == "authorization" else "/session"
+        )
+        headers = [(b"host", b"127.0.0.1:7480"), (b"origin", b"http://127.0.0.1:7480")]
+        headers += [(key.encode(), data)] if key in ("cookie", "authorization", "origin", "host") else []
+        method = "GET" if key in ("path", "authorization") else "DELETE" if key == "cookie" else "POST"
+        scope = {
+            **{"type": "http", "http_version": "1.1", "method": method, "scheme": "http", "path": path, "state": {}},
+            **{"raw_path": data, "query_string": data if key == "path" else b"", "headers": headers},
+            **{"client": ("127.0.0.1", 1), "server": ("127.0.0.1", 7480), "root_path": ""},
+        }
+        body = {"type": "http.request", "body": data if key == "session" else b"{}", "more_body": False}
+
+        async def receive() -> Any:
+            return body
+
+        async def send(message: Any) -> None:
+            sent.append(message)
+
+        await server.app(scope, receive, send)
+        return sent
+
+    def take(key: str, data: bytes) -> None:
+        answer = loop.run_until_complete(ask_server(key, data))
+        assert answer[0]["status"] < 500, answer
+
+    return take
+
+
+def fleet() -> Take:
+    session = StillSession()
+    arms, console = Fleet(session, [ArmAddress("", "planar16")]), Console(file=io.StringIO(), width=200, markup=False)  # type: ignore[arg-type]
+
+    def take(key: str, data: bytes) -> None:
+        if key == "arm":
+            session.answer = data
+            arms._arms[ArmAddress("", "planar16")] = Presence()
+            arms.ask()
+        elif key == "state":
+            session.subscribers["hyperbit/*/state"](Sample("hyperbit/planar16/state", zenoh.ZBytes(data)))
+        else:
+            note(Reply(Sample("hyperbit/planar16/stop", zenoh.ZBytes(data))), {})  # type: ignore[arg-type]
+            return
+        (arm,) = arms.arms()
+        fleet_command.line_of_arm(arm)
+        json.dumps(fleet_command.fields_of(arm))
+        if arm.state is not None:
+            console.print(fleet_command.view_of([arm], "here", connected=True))
+        console.file = io.StringIO()
+
+    return take
+
+
+def client() -> Take:
+    """Answers and messages that commands read and show."""
+    session, console = StillSession(), Console(file=io.StringIO(), width=200, markup=False)
+    one, view = Client(session, "planar16"), watch_command.View("planar16", ())  # type: ignore[arg-type]
+
+    def show(key: str, message: dict[str, Any]) -> None:
+        if key == "result":
+            print_result({**message, "code": 0}, "planar16", as_json=False)
+        message = filled(key, message)
+        view.receive_message(key, message)
+        console.print(view)
+        console.file = io.StringIO()
+        if key == "state":
+            assert watch_command.clock_of(message) + watch_command.line_of(message)
+
+    def take(key: str, data: bytes) -> None:
+        if key in ("state", "diagnostics", "feedback", "result"):
+            one.subscribe(key, partial(show, key))
+            sample = Sample(f"hyperbit/planar16/{key}", zenoh.ZBytes(data))
+            with contextlib.redirect_stdout(io.StringIO()):
+                session.subscribers[f"hyperbit/planar16/{key}"](sample)
+            return
+        session.answer = data
+        with contextlib.suppress(Unanswered, CommandFailed), contextlib.redirect_stdout(io.StringIO()):
+            if key == "arm":
+                described = one.describe()
+                print_obstacles(described, as_json=False)
+                print_poses(described["poses"], as_json=False)
+            else:
+                ask(one, "planar16", key, {}, as_json=False)
+
+    return take
+
+
+def player() -> Take:
+    folder, began = Path(tempfile.mkdtemp(dir=ROOM)), list[Path]()
+    one = Recorder("planar16", Folder(folder, "planar16"), Limits(10**9, 10**9), began=began.append)
+    for k, (key, value) in enumerate(PUBLISHED.items()):
+        one.receive_message(ReceivedMessage(k * 10**9, key, json.dumps(value).encode()))
+    one.end_recording()
+    past, session = RecordingReader(began[0]), StillSession()
+    replay = Player(past, session, "replay", Timeline(past.begin / 1e9, past.end / 1e9))  # type: ignore[arg-type]
+
+    def take(key: str, data: bytes) -> None:
+        query = Query("replay/planar16/timeline", data)
+        replay._carry_out(query)  # type: ignore[arg-type]
+        (answer,) = [json.loads(reply) for reply in query.replies]
+        assert isinstance(answer["accepted"], bool)
+        assert answer["message"]
+
+    return take
+
+
+def bridge() -> Take:
+    """What the bridge to ROS 2 reads from the daemon."""
+    world = World(Inputs(random.Random(0)), Path(tempfile.mkdtemp(dir=ROOM)))
+    world.reopen()
+
+    def take(key: str, data: bytes) -> None:
+        world.bridge._attempt(world.bridge.receive_message, ReceivedMessage(0, key, data))
+        world.bridge.tick(0.0)
+
+    return take
+
+
+def ros2() -> Take:
+    def take(name: str, data: bytes) -> None:
+        with contextlib.suppress(BadMessage):
+            deserialize(data, name, TYPES)
+
+    return take
+
+
+def packed() -> Take:
+    """What the planner reads from the executor, and what it left in a program."""
+
+    def take(key: str, data: bytes) -> None:
+        if key == "context":
+            decode_context(data)
+            return
+        with contextlib.suppress(Malformed):
+            (decode_up if key == "up" else decode_down)(data)
+
+    return take
+
+
+def small_files() -> Take:
+    """Files beside the daemon and its programs that are read at a start, and what another daemon answers."""
+    folder = Path(tempfile.mkdtemp(dir=ROOM))
+
+    def take(name: str, data: bytes) -> None:
+        path = folder / name
+        path.write_bytes(data)
+        match name:
+            case "poses":
+                Poses(path, "0")
+            case "goals":
+                GoalBook(path)
+            case "sessions":
+                read_kept(path, dict[str, Session], "all people must log in")
+            case "people":
+                with contextlib.suppress(InputFaults):
+                    read_people(path)
+            case _:
+                claimant(data)
+        for left in folder.iterdir():
+            left.unlink()
+
+    return take
+
+
+SAMPLES: dict[str, tuple[Callable[[], Take], dict[str, list[Any]]]] = {
+    "daemon": (
+        daemon,
+        {
+            **{"goal": [requests.GOAL, requests.LINE, requests.CONFIGURATIONS], "plan": [requests.GOAL]},
+            **{"jog": [requests.JOG], "degrade": [requests.DEGRADE], "obstacles": [requests.OBSTACLES]},
+            **{"cancel": [{"id": "a-1"}], "stop": [{}], "reset": [{}], "fault": [{"fault": "power_cut can0/5"}]},
+            "poses": [{"save": "p", "goal": POSE["goal"]}, {"remove": "p"}],
+            **{"arm": [{"with": ["drawing"]}], "result": [{"id": "a-1"}], "setpoint": [requests.SETPOINT]},
+        },
+    ),
+    "recorder": (recorder, {**{key: [value] for key, value in PUBLISHED.items()}, "setpoint": [requests.SETPOINT]}),
+    "page": (page, {key: [value] for key, value in PUBLISHED.items()}),
+    "page_request": (page_request, {"live": [{"do": "jog", "n": 1, "actuator": "5.left", "state": "extended"}]}),
+    "http": (
+        http,
+        {
+            **{"session": [{"token": "abc"}], "path": [b"/arms/planar16/density"], "cookie": [b"hyperbit=abc"]},
+            **{"authorization": [b"Bearer abc"], "origin": [b"http://127.0.0.1:7480"], "host": [b"127.0.0.1:7480"]},
+        },
+    ),
+    "fleet": (fleet, {"arm": [ARM], "state": [STATE], "stop": [ANSWER]}),
+    "client": (
+        client,
+        {
+            **{key: [PUBLISHED[key]] for key in ("state", "diagnostics", "feedback", "result", "arm")},
+            **{"stop": [ANSWER], "plan": [ANSWER]},
+        },
+    ),
+    "player": (player, {"timeline": [{"at": 2.0, "speed": 2, "paused": True}]}),
+    "bridge": (bridge, {key: [value] for key, value in PUBLISHED.items()}),
+    "ros2": (ros2, {kind: Inputs(random.Random(0))._pools[name][:3] for name, (_, kind) in KINDS.items()}),
+    "packed": (
+        packed,
+        {
+            "up": [encode(Accepted(1, 2.0)), encode(Question(1, b"\1", b"\3"))],
+            "down": [encode(message) for message in MESSAGES],
+            "context": [encode(Context("a", position=[0.5, 2.9], bias=[0.0, 0.1]))],
+        },
+    ),
+    "files": (
+        small_files,
+        {
+            "poses": [{"a": POSE["goal"]}],
+            "goals": [[{"uuid": "0" * 32, "kind": "tip", "joints": ["tip_x"], "stamp": 1, "result": None}]],
+            "sessions": [{"a": {"name": "anna", "role": "operator"}}],
+            "people": [{"people": [{"name": "anna", "role": "viewer"}]}],
+            "claimant": [{"daemon": {"host": "a", "pid": 1, "serves": True}}],
+        },
+    ),
+}

@@ -1,0 +1,88 @@
+"""A Zenoh session without a network: tests call what was declared, and read what was sent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import zenoh
+
+
+class Sample(NamedTuple):
+    """A sample; also the content of a reply."""
+
+    key_expr: str
+    payload: zenoh.ZBytes
+    attachment: zenoh.ZBytes | None = None
+    kind: zenoh.SampleKind = zenoh.SampleKind.PUT
+
+
+class Reply(NamedTuple):
+    ok: Sample | None
+
+
+class Query:
+    """A query that keeps its replies."""
+
+    def __init__(self, key_expr: str, payload: bytes) -> None:
+        self.key_expr, self.payload, self.attachment = key_expr, zenoh.ZBytes(payload), None
+        self.replies: list[bytes] = []
+
+    def __enter__(self) -> Query:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def reply(self, key: str, data: bytes, **_: Any) -> None:
+        self.replies.append(data)
+
+
+class Declared:
+    matching_status = SimpleNamespace(matching=True)
+
+    def undeclare(self) -> None:
+        pass
+
+    def put(self, data: bytes) -> None:
+        pass
+
+
+class StillSession:
+    """Keeps the callbacks of subscribers and queryables by key. `answer` is the reply to each query."""
+
+    def __init__(self) -> None:
+        self.subscribers: dict[str, Callable[[Any], None]] = {}
+        self.queryables: dict[str, Callable[[Any], None]] = {}
+        self.answer = b"{}"
+        self.sent: list[tuple[str, bytes]] = []
+
+    def liveliness(self) -> StillSession:
+        return self
+
+    def declare_subscriber(self, key: str, callback: Any, **_: Any) -> Declared:
+        self.subscribers[key] = getattr(callback, "callback", callback)
+        return Declared()
+
+    def declare_queryable(self, key: str, callback: Any, **_: Any) -> Declared:
+        self.queryables[key] = getattr(callback, "callback", callback)
+        return Declared()
+
+    def declare_token(self, key: str) -> Declared:
+        return Declared()
+
+    def declare_publisher(self, key: str, **_: Any) -> Declared:
+        return Declared()
+
+    def put(self, key: str, data: bytes, **_: Any) -> None:
+        self.sent.append((key, data))
+
+    def get(self, key: str, handler: Callable[[Any], None] | None = None, **_: Any) -> Iterator[Reply]:
+        reply = Reply(Sample(key, zenoh.ZBytes(self.answer)))
+        if handler is not None:
+            handler(reply)
+        return iter([reply])
+
+    def close(self) -> None:
+        pass
