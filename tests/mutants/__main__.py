@@ -1,4 +1,4 @@
-"""Plants random defects, and counts those that the simulation finds, and those that the tests of the room find."""
+"""Plants defects, one at a time: those of `planted`, and random ones. The simulation looks for each, then the tests."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from collections import deque
 from functools import partial
 from pathlib import Path
 
-from tests.mutants.checks import ROOT, TESTS, ordered_tests, run_tests, simulate, warm_up
+from tests.mutants.checks import COMPILING, ROOT, TESTS, ordered_tests, room_of, run_tests, simulate, warm_up
 from tests.mutants.forks import Child, Result, ended, start, stop
+from tests.mutants.planted import planted
 from tests.mutants.results import Results, equivalents, shown, table, told
 from tests.mutants.sites import Mutant, listed, sample
 
 EQUIVALENT = Path(__file__).with_name("equivalent.txt")
+PLANTED = Path(__file__).with_name("planted")
 PATIENCE = 4  # time that a mutant may take, as a multiple of that of the program
 LEAST = 30.0  # [s] added to it
 BUSY = 10  # wall-clock time as a multiple of processor time: others use the computer, too
@@ -30,14 +32,15 @@ def main() -> int:
     """Runs the checks; returns 1 if the program without a defect fails one."""
     options = parsed()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that no child remains
-    mutants = listed(ROOT, options.rooms)
+    mutants = listed(ROOT, options.rooms, room_of)
+    by_hand = [mutant for mutant in planted(ROOT, PLANTED) if room_of(mutant.file) in options.rooms]
     aside = equivalents(EQUIVALENT)
-    rooms = {mutant.id: room for room, of_room in mutants.items() for mutant in of_room}
+    count = sum(map(len, mutants.values())) + len(by_hand)
     if options.only:
-        chosen = [mutant for of_room in mutants.values() for mutant in of_room if options.only in mutant.id]
+        chosen = [mutant for of_room in (by_hand, *mutants.values()) for mutant in of_room if options.only in mutant.id]
     else:
         mutants = {room: [mutant for mutant in of_room if mutant.id not in aside] for room, of_room in mutants.items()}
-        chosen = sample(mutants, options.sample, options.seed)
+        chosen = [*by_hand, *sample(mutants, options.sample, options.seed)]
     if options.list:
         for mutant in chosen:
             print(shown(mutant))
@@ -46,22 +49,19 @@ def main() -> int:
             sys.exit(f"{options.json} has results: continue with --resume, or name another file")
         results = Results(options.json)
         results.add({"phase": "run", "options": sys.argv[1:], "commit": commit()})
-        if not Run(options, results, [(rooms[mutant.id], mutant) for mutant in chosen]).all():
+        if not Run(options, results, [(room_of(mutant.file), mutant) for mutant in chosen]).all():
             return 1
-    print(f"{len(chosen)} of {len(rooms)} mutants, {len(aside)} equivalent ones set aside")
+    print(f"{len(chosen)} of {count} mutants, {len(aside)} equivalent ones set aside")
     if not options.list:
-        print(
-            table(
-                [(rooms[mutant.id], mutant) for mutant in chosen], Results(options.json) if options.report else results
-            )
-        )
+        results = Results(options.json) if options.report else results
+        print(table([("planted" if mutant in by_hand else room_of(mutant.file), mutant) for mutant in chosen], results))
     return 0
 
 
 def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=0, help="seed of the sample")
-    parser.add_argument("--sample", type=int, default=50, help="number of mutants")
+    parser.add_argument("--sample", type=int, default=50, help="number of random mutants")
     parser.add_argument("--rooms", nargs="+", choices=TESTS, default=list(TESTS), help="folders of the program")
     parser.add_argument("--only", metavar="ID", help="all mutants whose id contains this text, in place of a sample")
     parser.add_argument("--jobs", type=int, default=1, help="number of checks at a time")
@@ -132,7 +132,9 @@ class Run:
         if known is not None:
             self._continue(task, known, todo)
         elif phase == "simulation":
-            limit = self._limit or self._options.steps / 1000 + LEAST
+            limit = (self._limit or self._options.steps / 1000 + LEAST) + COMPILING * (
+                mutant is not None and mutant.kernel
+            )
             work = partial(simulate, mutant, self._options.steps, self._options.first)
             children.append(start(task, work, limit, BUSY * limit))
         else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import random
 import signal
 import sys
 import tempfile
@@ -21,18 +22,37 @@ STUCK_AFTER = 20.0  # [s] of processor time in one step of the simulation: an en
 TEST_TIMEOUT = 120  # [s] of one test
 LONGEST = 300  # characters of a reason
 
-# Tests of each room, the likely finders first. The simulation has run before.
+COMPILING = 600.0  # [s] of processor time: a defect of a kernel makes all kernels compile anew
+MESSAGES_A_SEED = 3_000  # of a world of ROS 2
+
+# Tests of each room, the likely finders first. The simulation has run before. A file belongs to its innermost room.
 _OF_BOARDS = ("tests/drivers", "tests/second_opinion", "tests/executor")
 TESTS = {
-    "controller/planning/core": ("tests/planning", "tests/fuzz"),
     "controller/executor/arm": ("tests/executor",),
     "controller/executor/core": ("tests/executor", "tests/fuzz"),
     "controller/executor/motion": ("tests/executor",),
+    "controller/executor/process": ("tests/executor",),
     "controller/gateway": ("tests/gateway", "tests/planning"),
+    "controller/motion": ("tests/motion", "tests/planning"),
+    "controller/network": ("tests/network", "tests/gateway"),
+    "controller/obstacles": ("tests/obstacles", "tests/motion"),
+    "controller/panel": ("tests/panel",),
+    "controller/planning": ("tests/planning", "tests/gateway"),
+    "controller/planning/core": ("tests/planning", "tests/fuzz"),
+    "controller/recorder": ("tests/recorder",),
+    "controller/ros2": ("tests/ros2",),
+    "controller/search": ("tests/search", "tests/bench"),
     "drivers/canopen/boards": _OF_BOARDS,
     "drivers/canopen/boot": _OF_BOARDS,
     "drivers/canopen/run": _OF_BOARDS,
+    "drivers/canopen/wire": _OF_BOARDS,
+    "drivers/simulation": ("tests/drivers", "tests/simulation"),
 }
+
+
+def room_of(file: str) -> str:
+    """Returns the innermost room of a file, "" if no room has it."""
+    return max((room for room in TESTS if file.startswith(f"{room}/")), key=len, default="")
 
 
 class Stuck(BaseException):
@@ -55,33 +75,53 @@ def warm_up() -> None:
 
 def simulate(mutant: Mutant | None, steps: int, first: int = 0) -> Result:
     """Runs worlds of all kinds in turn until one fails, or until they have run all steps."""
-    if mutant is not None:
-        sitecustomize.plant(mutant.module, str(ROOT / mutant.file), mutant.source)
-    try:
-        from tests.simulation.__main__ import KINDS, STEPS_A_SEED, Turns, world_of
-        from tests.simulation.whole.planner_process import LOGS
-    except Exception as error:
-        return {"found": True, "why": f"import: {_told(error)}"}
-    if mutant is not None and mutant.module not in sys.modules:
-        return {"found": False, "why": "the simulation does not import the module"}
-    for log in LOGS:
-        log.setLevel(logging.CRITICAL + 1)
-    turns = Turns(KINDS, first)
-    while turns.steps < steps:
-        kind, seed = turns.next()
-        watch, why = _Watch(), ""
+    with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
+        if mutant is not None:
+            _plant(mutant, folder)
+        of_ros2 = mutant is not None and room_of(mutant.file) == "controller/ros2"
         try:
-            world = watch.world = world_of(seed, kind)
-            world.run(min(STEPS_A_SEED, steps - turns.steps))
-        except Stuck:
-            why = "does not end"
-        except BaseException as error:
-            why = _told(error)
-        watch.end()
-        turns.ran(kind, watch.step)
-        if why:
-            return {"found": True, "why": why, "seed": seed, "kind": kind, "step": watch.step, "steps": turns.steps}
+            from tests.ros2.fuzz.inputs import Inputs
+            from tests.ros2.fuzz.world import World
+            from tests.simulation.__main__ import KINDS, STEPS_A_SEED, Turns, world_of
+            from tests.simulation.whole.planner_process import LOGS
+        except Exception as error:
+            return {"found": True, "why": f"import: {_told(error)}"}
+        if mutant is not None and mutant.module not in sys.modules:
+            return {"found": False, "why": "the simulation does not import the module"}
+        for log in LOGS:
+            log.setLevel(logging.CRITICAL + 1)
+        turns = Turns(("ros2",) if of_ros2 else KINDS, first)
+        while turns.steps < steps:
+            kind, seed = turns.next()
+            watch, why = _Watch(), ""
+            try:
+                if of_ros2:
+                    watch.world = world = World(Inputs(random.Random(seed)), Path(tempfile.mkdtemp(dir=folder)))
+                    world.run(MESSAGES_A_SEED)
+                else:
+                    watch.world = simulated = world_of(seed, kind)
+                    simulated.run(min(STEPS_A_SEED, steps - turns.steps))
+            except Stuck:
+                why = "does not end"
+            except BaseException as error:
+                why = _told(error)
+            watch.end()
+            turns.ran(kind, MESSAGES_A_SEED if of_ros2 else watch.step)
+            if why:
+                return {"found": True, "why": why, "seed": seed, "kind": kind, "step": watch.step, "steps": turns.steps}
     return {"found": False, "why": "", "steps": turns.steps}
+
+
+def _plant(mutant: Mutant, folder: str) -> None:
+    """Plants a defect in this process, and for processes that tests start."""
+    if mutant.module in sys.modules:  # of the warm process: all of the program is imported anew
+        for name in [name for name in sys.modules if name.split(".")[0] == "hyperbit"]:
+            del sys.modules[name]
+    if mutant.kernel:  # compiled code of other modules may contain the kernel, and its cache does not know
+        import numba
+
+        numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = folder
+    sitecustomize.plant(mutant.module, str(ROOT / mutant.file), mutant.source)
 
 
 class _Watch:
@@ -93,7 +133,10 @@ class _Watch:
 
     @property
     def step(self) -> int:
-        return 0 if self.world is None else int(self.world.agenda.steps)
+        agenda = getattr(self.world, "agenda", None)
+        if agenda is not None:
+            return int(agenda.steps)
+        return 0 if self.world is None else int(self.world.clock.now * 1e6)  # a world of ROS 2
 
     def end(self) -> None:
         signal.setitimer(signal.ITIMER_VIRTUAL, 0)
@@ -108,11 +151,10 @@ def run_tests(mutant: Mutant | None, files: Iterable[str]) -> Result:
     """Runs test files until a test fails."""
     import pytest
 
-    if mutant is not None:
-        sitecustomize.plant(mutant.module, str(ROOT / mutant.file), mutant.source)
     seen = _FirstFailure()
     with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
         if mutant is not None:
+            _plant(mutant, folder)
             source = Path(folder, "mutant.py")
             source.write_text(mutant.source)
             os.environ[sitecustomize.MUTANT] = json.dumps([mutant.module, str(ROOT / mutant.file), str(source)])

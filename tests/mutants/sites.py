@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -41,6 +41,10 @@ class Mutant:
     @property
     def source(self) -> str:
         return (self.original[: self.begin] + self.text.encode() + self.original[self.end :]).decode()
+
+    @property
+    def kernel(self) -> bool:
+        return "@njit" in self.source
 
     @property
     def place(self) -> dict[str, Any]:
@@ -154,12 +158,14 @@ def _shortened(text: str) -> str:
     return f"{text[: LONGEST - 12]}...{sha256(text.encode()).hexdigest()[:8]}"
 
 
-def listed(root: Path, rooms: Iterable[str]) -> dict[str, list[Mutant]]:
+def listed(root: Path, rooms: Iterable[str], room_of: Callable[[str], str]) -> dict[str, list[Mutant]]:
+    """Returns the mutants of rooms; `room_of` names the room of a file, as a room may lie in another."""
     return {
         room: [
             mutant
             for path in sorted((root / room).rglob("*.py"))
-            for mutant in mutants_of(path.relative_to(root).as_posix(), path.read_text())
+            if room_of(file := path.relative_to(root).as_posix()) == room
+            for mutant in mutants_of(file, path.read_text())
         ]
         for room in rooms
     }

@@ -11,8 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.mutants.checks import ROOT, TESTS, ordered_tests
+from tests.mutants.__main__ import PLANTED
+from tests.mutants.checks import ROOT, TESTS, ordered_tests, room_of, simulate
 from tests.mutants.forks import Result, ended, start, stop
+from tests.mutants.planted import planted
 from tests.mutants.results import Results, equivalents, table
 from tests.mutants.sites import Mutant, listed, mutants_of, sample
 from tests.mutants.started.sitecustomize import plant
@@ -86,10 +88,31 @@ def test_texts_types_and_what_has_no_effect_are_left(source: str) -> None:
 
 
 def test_all_mutants_of_the_rooms_have_a_name_and_another_program() -> None:
-    mutants = [mutant for of_room in listed(ROOT, TESTS).values() for mutant in of_room]
+    mutants = [mutant for of_room in listed(ROOT, TESTS, room_of).values() for mutant in of_room]
     assert len({mutant.id for mutant in mutants}) == len(mutants) > 1000
     for mutant in sample({"all": mutants}, 200, seed=1):
         assert ast.dump(ast.parse(mutant.source)) != ast.dump(ast.parse(mutant.original))
+
+
+def test_each_planted_defect_is_another_program_of_a_room() -> None:
+    defects = planted(ROOT, PLANTED)
+    assert len({mutant.id for mutant in defects}) == len(defects) > 0
+    for mutant in defects:
+        assert room_of(mutant.file)
+        assert ast.dump(ast.parse(mutant.source)) != ast.dump(ast.parse(mutant.original))
+
+
+def test_lines_are_replaced_at_their_indentation(tmp_path: Path) -> None:
+    (tmp_path / "m.py").write_text("def f(a):\n    if a:\n        g()\n    return a\n")
+    (tmp_path / "by_hand.txt").write_text(
+        "# a comment\n\nm.py: nothing runs\n- if a:\n-     g()\n+ if not a:\n+     h()\n"
+    )
+    [mutant] = planted(tmp_path, tmp_path)
+    assert mutant.id == "planted::m.py::nothing runs"
+    assert mutant.source == "def f(a):\n    if not a:\n        h()\n    return a\n"
+    (tmp_path / "m.py").write_text("pass\n")
+    with pytest.raises(ValueError, match=r"by_hand\.txt: m\.py: nothing runs: these lines stand in the file 0 times"):
+        planted(tmp_path, tmp_path)
 
 
 def test_a_name_survives_other_edits_of_the_file() -> None:
@@ -141,6 +164,11 @@ def test_a_planted_defect_is_found_and_an_equivalent_one_survives(tmp_path: Path
     assert "toy_of_mutants" not in sys.modules
 
 
+def test_the_simulation_finds_a_planted_defect() -> None:
+    [defect] = [mutant for mutant in planted(ROOT, PLANTED) if mutant.id.endswith("::a start energises")]
+    assert "came on" in outcome(partial(simulate, defect, 20_000))["why"]
+
+
 def never_end(folder: Path) -> Result:
     while True:
         pass
@@ -190,7 +218,7 @@ def test_results_are_read_again_and_counted(tmp_path: Path) -> None:
 
 
 def test_tests_that_mirror_the_module_run_first() -> None:
-    mutants = listed(ROOT, ["drivers/canopen/run"])["drivers/canopen/run"]
+    mutants = listed(ROOT, ["drivers/canopen/run"], room_of)["drivers/canopen/run"]
     commit = next(mutant for mutant in mutants if mutant.file.endswith("commit.py"))
     files = ordered_tests("drivers/canopen/run", commit)
     assert files[0] == "tests/drivers/canopen/run/test_commit.py"
@@ -199,12 +227,14 @@ def test_tests_that_mirror_the_module_run_first() -> None:
 
 
 def test_every_known_equivalent_mutant_exists_and_has_a_reason() -> None:
-    names = {mutant.id for of_room in listed(ROOT, TESTS).values() for mutant in of_room}
+    names = {mutant.id for of_room in listed(ROOT, TESTS, room_of).values() for mutant in of_room}
     assert set(equivalents(EQUIVALENT)) <= names
 
 
-def test_the_command_lists_a_sample() -> None:
+def test_the_command_lists_planted_defects_and_a_sample() -> None:
     command = [sys.executable, "-m", "tests.mutants", "--rooms", "controller/gateway", "--sample", "2", "--list"]
     printed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
-    assert printed[0].startswith("controller/gateway/")
-    assert printed[-1].startswith("2 of ")
+    of_room = [line for line in printed if line.startswith(("planted::controller/gateway/", "controller/gateway/"))]
+    ids = [line for line in of_room if "::" in line]
+    assert [line.startswith("planted::") for line in ids] == [True] * (len(ids) - 2) + [False] * 2
+    assert printed[-1].startswith(f"{len(ids)} of ")
