@@ -142,7 +142,7 @@ class Commands:
     def _homes(self) -> tuple[int, int]:
         """Returns the mask of the actuators that may be brought to a state before any stage, and these states."""
         a, run = self._a, self._a.run
-        states, unknown, again = a.ground.states, a.homing, self.proofs.missed
+        states, unknown, again = a.ground.states, a.homing, self.proofs.missed | self.proofs.doubted
         if a.shown is not None:
             states = unpack(a.shown.outputs)
         if run is not None:

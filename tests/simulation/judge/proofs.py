@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import Any
 
 from tests.simulation.judge.account import Account, Commit, Run
@@ -20,6 +21,7 @@ class Proofs:
 
     Attributes:
         missed: mask of the actuators whose last pulse was over before it was read; it may be given again.
+        doubted: mask of those that may be given again, too: an answer may have belonged to an earlier request.
         states: states of the last pulses.
         heard_at: when the process heard that a SYNC was sent [s].
     """
@@ -36,11 +38,12 @@ class Proofs:
 
     def begin(self) -> None:
         self._ready_at = math.inf  # end of the last boot [s]
-        self.missed = self.states = self._open = 0
+        self.missed = self.doubted = self.states = self._open = self._late = 0
         self.heard_at = -math.inf
         self._on: tuple[int, int] | None = None  # commanded last: extending outputs, contracting outputs of pairs
         self._known_at = [0.0] * self._a.arm.count  # when the process heard of each actuator's SYNC [s]
         self._asked: dict[tuple[str, int, int], float] = {}  # last request for each byte of outputs [s]
+        self._unanswered: Counter[tuple[str, int, int]] = Counter()  # number of these requests
 
     @property
     def unread(self) -> int:
@@ -56,7 +59,8 @@ class Proofs:
         over = (extends & ~self._on[0] | contracts & ~self._on[1]) & paired
         came = self._on[0] & ~extends | self._on[1] & ~contracts | extends & ~self._on[0] & ~paired
         self.missed = (self.missed | over & mask_of(a.arm.pulse) & self._open & self._blind) & ~came
-        self._open = (self._open & ~over | came) & self._blind
+        self.doubted = (self.doubted | over & mask_of(a.arm.pulse) & self._late) & ~came
+        self._open, self._late = (self._open & ~over | came) & self._blind, self._late & ~over & ~came
         self.states = merged(came, self._on[0], self.states)
         for k in bits_of(came):
             self._known_at[k] = a.now
@@ -75,14 +79,16 @@ class Proofs:
             index, sub = int.from_bytes(data[1:3], "little"), data[3]
             if index == self._base.get((bus, cob_id & 0x7F), 0x6200):
                 self._asked[bus, cob_id & 0x7F, sub] = self._a.now
+                self._unanswered[bus, cob_id & 0x7F, sub] += 1
 
     def hears(self, bus: str, cob_id: int, data: bytes) -> None:
-        if cob_id & 0x780 != SDO_ANSWER or len(data) != 8 or data[0] & EXPEDITED != 0x43 & EXPEDITED or not self._open:
+        if cob_id & 0x780 != SDO_ANSWER or len(data) != 8 or data[0] & EXPEDITED != 0x43 & EXPEDITED:
             return
         index, sub, node = int.from_bytes(data[1:3], "little"), data[3], cob_id & 0x7F
         asked = self._asked.get((bus, node, sub))
         if index != self._base.get((bus, node), 0x6200) or asked is None:
             return
+        self._unanswered[bus, node, sub] -= 1
         for k in bits_of(self._open):
             channel = self._channels[k]
             state = self.states >> k & 1
@@ -92,6 +98,7 @@ class Proofs:
             here = (channel.bus, channel.node, 1 + bit // 8) == (bus, node, sub)
             if here and asked >= self._known_at[k] and data[4] >> bit % 8 & 1 == level:
                 self._open &= ~(1 << k)
+                self._late |= (self._unanswered[bus, node, sub] > 0) << k
 
     def done(self, run: Run, verified: bool, text: str) -> None:
         wrong = run.moved & self.unread
