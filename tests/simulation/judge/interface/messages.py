@@ -26,7 +26,7 @@ def body_of(payload: bytes) -> Payload:
 
 
 def well_formed(request: Request, modules: JudgedModules) -> bool:
-    """Returns whether a payload has the form that the page asks for. The keys without a payload take any, and so does `cancel`."""
+    """Returns whether a payload has the form that the page asks for. `cancel`, and keys without a payload, take any."""
     body = request.body
     match request.key:
         case "goal" | "plan":
