@@ -105,6 +105,7 @@ class PanelServer:
         ]
         handlers = {HTTPException: refuse, TooLarge: too_large}
         self._routed = Starlette(routes=routes, lifespan=self._lifespan, exception_handlers=handlers)
+        self._routed.router.redirect_slashes = False  # Starlette decodes the query for it, and fails if it is no UTF-8
         scheme = "https" if tls else "http"
         self.app: ASGIApp = Shield(
             self._recognized, policy(inline_scripts(text)), scheme=scheme, hosts=hosts, public=public
