@@ -1,6 +1,7 @@
 """The arm of the paper and its densities, for every room's tests."""
 
 import gc
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -20,6 +21,9 @@ from tests.waiting import SLOWNESS
 # The same examples on every run, and no deadline, which a busy machine would miss.
 settings.register_profile("hyperbit", derandomize=True, deadline=None)
 settings.load_profile("hyperbit")
+
+# A shell without job control starts what runs in the background with SIGINT ignored, and each child inherits that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 BUSES = ("virtual", "socketcan")
 PAPER_ARM = Path(__file__).parents[1] / "deploy" / "planar16.yaml"
