@@ -12,6 +12,7 @@ import random
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,7 @@ from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.gateway.server import GatewayParts, Server
 from hyperbit.controller.host.files import read_kept
+from hyperbit.controller.network import client as network_client
 from hyperbit.controller.network.client import Client, Unanswered
 from hyperbit.controller.network.fleet import ArmAddress, Fleet, Presence
 from hyperbit.controller.network.listener import ReceivedMessage
@@ -121,6 +123,11 @@ PUBLISHED = {
 }
 
 
+def at_once() -> AbstractContextManager[object]:
+    """Lets a client ask again without a pause, after an answer that it cannot read."""
+    return mock.patch.object(network_client, "PAUSE", 0.0)
+
+
 class Quiet:
     """A reader whose log is bounded and has no traceback. `starts`: each input is read at a start."""
 
@@ -203,7 +210,7 @@ def page() -> Take:
         if key == "arm":
             session.answer, view._again = data, True
             view._wanted = {"drawing", "running", "density"}
-            with mock.patch.object(arm_view, "ASK_AGAIN", 0.0):
+            with mock.patch.object(arm_view, "ASK_AGAIN", 0.0), at_once():
                 await view._answer()
         else:
             session.subscribers[f"hyperbit/*/{key}"](Sample(f"hyperbit/planar16/{key}", zenoh.ZBytes(data)))
@@ -309,7 +316,7 @@ def client() -> Take:
                 session.subscribers[f"hyperbit/planar16/{key}"](sample)
             return
         session.answer = data
-        with contextlib.suppress(Unanswered, CommandFailed), contextlib.redirect_stdout(io.StringIO()):
+        with contextlib.suppress(Unanswered, CommandFailed), contextlib.redirect_stdout(io.StringIO()), at_once():
             if key == "arm":
                 described = one.describe()
                 print_obstacles(described, as_json=False)

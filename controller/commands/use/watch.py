@@ -8,6 +8,7 @@ import queue
 import sys
 import time
 from collections.abc import Sequence
+from itertools import zip_longest
 from typing import Any
 
 from rich.box import SIMPLE
@@ -125,13 +126,11 @@ class View:
         return table
 
     def _actuators(self, state: dict[str, Any]) -> RenderableType:
-        measured = state["measured"] or []
-        commanded = state["commanded"] or [None] * len(measured)
         text = Text("actuators by module (base first, ")
         extended, contracted = drawn("▮", "#"), drawn("▯", "-")
         text.append(f"{extended} extended, {contracted} contracted, ").append("? unknown, ", style="yellow")
         text.append("red: not as commanded", style="red").append(")\n")
-        for k, (wanted, is_) in enumerate(zip(commanded, measured, strict=True)):
+        for k, (wanted, is_) in enumerate(zip_longest(state["commanded"] or (), state["measured"] or ())):
             text.append(" " if k in self._firsts else "")
             style = "red" if wanted is not None and is_ is not None and wanted != is_ else "none"
             text.append(

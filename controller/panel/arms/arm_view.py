@@ -248,9 +248,9 @@ class ArmView:
 
 def target_distance(state: Message) -> float | None:
     """Returns the distance of the tip, tip bias included, from the present target; None if either is unknown."""
-    tip, target = state.get("tip"), state.get("target")
+    tip, target = state.get("tip"), (state.get("target") or {}).get("position")
     if not tip or not target:
         return None
     bias = state.get("bias") or [0.0] * len(tip["position"])
     position = [x + shift for x, shift in zip(tip["position"], bias, strict=False)]
-    return math.dist(position, target["position"]) if len(position) == len(target["position"]) else None
+    return math.dist(position, target) if len(position) == len(target) else None
