@@ -241,8 +241,13 @@ def payloads() -> dict[str, dict[str, Any]]:
         "result": {"id": "ros2-" + "00" * 16, "status": "succeeded", "code": 0, "message": "reached"},
         "feedback": {"id": "ros2-" + "00" * 16, "progress": 0.5},
         "diagnostics": {
-            "buses": [{"name": "can0", "state": "connected", "load": 0.1}],
-            "boards": [{"bus": "can0", "node": 5, "state": "lost"}],
+            "buses": [
+                {
+                    **{"name": "can0", "state": "connected", "load": 0.1, "worst_case": {"load": 0.3}, "dropped": 0},
+                    **{"tx_frames": 1, "rx_frames": 2, "tx_errors": 0, "rx_errors": 0},
+                }
+            ],
+            "boards": [{"bus": "can0", "node": 5, "state": "lost", "emergency": None}],
             "loop": {"late_worst": 0.001},
             "executor": "connected",
         },
