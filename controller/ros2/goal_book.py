@@ -11,27 +11,28 @@ import msgspec
 from hyperbit.controller.host.files import read_kept
 from hyperbit.controller.host.keeper import write_whole
 from hyperbit.controller.ros2.answers import GoalResult
+from hyperbit.controller.ros2.wire.action_server import LATEST
 
 KEPT = 60.0  # [s] for which a result is kept after its goal's end
 MOST_GOALS = 64  # in the file; the oldest results above this number are forgotten
 MOST_OWED = 64  # cancels that are owed to the daemon; above this number no goal begins
 TOPICS = ("goal_pose", "goal_path")
-LATEST = 2**31 * 10**9  # [ns since 1970], limit of a ROS 2 message
 log = logging.getLogger(__name__)
 
 
 class BookedGoal(msgspec.Struct, frozen=True):
-    """A goal of an action client, or a goal of a topic whose cancel is owed."""
+    """A goal of an action client, or a goal of a topic whose cancel is owed. Seconds are of CLOCK_MONOTONIC."""
 
     uuid: Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{32}\Z")]  # hexadecimal
     kind: str  # "tip" or "actuators", or the topic's name
     joints: tuple[str, ...]
-    stamp: Annotated[int, msgspec.Meta(ge=0, lt=LATEST)]  # of arrival [ns since 1970]
+    stamp: Annotated[int, msgspec.Meta(ge=0, le=LATEST)]  # of arrival [ns since 1970]
     result: GoalResult | None = None
-    ended: float = 0.0  # UNIX time of the result [s]
+    ended: float = 0.0  # time of the result [s]
     canceling: bool = False  # a cancel was accepted before the end, so the result may be "canceled"
     owed: bool = False  # a cancel is repeated until the daemon reports the goal's end
-    due: float | None = None  # UNIX time after which the goal exceeds its time tolerance [s]
+    since: float = 0.0  # time of the acceptance [s]
+    within: float | None = None  # after the acceptance; a later goal exceeds its time tolerance [s]
     client: bool = True  # a client knows that the goal is accepted, or waits for the decision
 
     @property
@@ -51,7 +52,11 @@ class GoalBook:
         self._path, self._lock = path, threading.Lock()
         path.parent.mkdir(parents=True, exist_ok=True)
         kept = read_kept(path, list[BookedGoal], "goals and owed cancels of earlier runs are not known")
-        self._goals = {goal.uuid: goal for goal in kept or ()}
+        now = time.monotonic()  # a later time is of an earlier start of the computer
+        self._goals = {
+            goal.uuid: msgspec.structs.replace(goal, since=min(goal.since, now), ended=min(goal.ended, now))
+            for goal in kept or ()
+        }
 
     def goals(self) -> list[BookedGoal]:
         """Returns all goals, the oldest first."""
@@ -81,7 +86,7 @@ class GoalBook:
             self._write()
 
     def _write(self) -> None:
-        until = time.time() - KEPT
+        until = time.monotonic() - KEPT
         self._goals = {key: goal for key, goal in self._goals.items() if stays(goal, until)}
         ended = [key for key, goal in self._goals.items() if goal.result is not None and not goal.owed]
         for key in ended[: max(len(self._goals) - MOST_GOALS, 0)]:

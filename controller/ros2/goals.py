@@ -22,7 +22,7 @@ from hyperbit.controller.ros2.poses import BadGoal, Fields
 from hyperbit.controller.ros2.trajectories import time_tolerance
 from hyperbit.controller.ros2.wire.action_core import IllegalTransition
 from hyperbit.controller.ros2.wire.action_events import Status
-from hyperbit.controller.ros2.wire.action_server import ActionServer, GoalHandle, Policy
+from hyperbit.controller.ros2.wire.action_server import ActionServer, GoalHandle, Policy, stamp_now
 from hyperbit.controller.ros2.wire.node import Node
 
 ACTION = "control_msgs/action/FollowJointTrajectory"
@@ -91,7 +91,7 @@ class ActionGoals:
     def poll(self, now: float) -> None:
         """Sends due cancels and result requests; ends goals after a long absence of the daemon. `now` [s]."""
         if self._gone is None:
-            self._owe_late(time.time())
+            self._owe_late(now)
             for task, due in ((self._cancels, self._due_cancel), (self._ledger, self._due_question)):
                 if due(now) is not None:
                     task.ask()
@@ -155,7 +155,7 @@ class ActionGoals:
         self.check_room()
         allowed = time_tolerance(handle.goal)
         goal = {**self._kinds[kind].convert(handle.goal), "id": daemon_id(handle)}
-        booked = BookedGoal(handle.uuid.hex(), kind, tuple(handle.goal.trajectory.joint_names), time.time_ns())
+        booked = BookedGoal(handle.uuid.hex(), kind, tuple(handle.goal.trajectory.joint_names), stamp_now())
         if why := self._book.add(booked):
             raise BadGoal(why)
         begun = OpenGoal(booked, handle, time.monotonic(), decided=False)
@@ -165,8 +165,8 @@ class ActionGoals:
         if not answer.accepted:
             raise BadGoal(answer.text or "no reason is given", answer.code)
         if allowed is not None:
-            due = max(time.time(), goal["stamp"]) + goal["waypoints"][-1]["t"] + allowed
-            begun.booked = msgspec.structs.replace(booked, due=due)
+            within = max(goal["stamp"] - time.time(), 0.0) + goal["waypoints"][-1]["t"] + allowed
+            begun.booked = msgspec.structs.replace(booked, since=time.monotonic(), within=within)
             self._book.put(begun.booked)
         handle.accept()
         handle.execute()
@@ -219,12 +219,13 @@ class ActionGoals:
             self._open[goal.booked.id] = goal
             self._book.put(goal.booked)
 
-    def _owe_late(self, wall: float) -> None:
+    def _owe_late(self, now: float) -> None:
         """Owes the cancel of each goal that exceeds its time tolerance; no client has asked for it."""
         with self._lock:
             for goal in self._open.values():
                 booked = goal.booked
-                if goal.decided and goal.handle and booked.due is not None and wall > booked.due and not booked.owed:
+                late = booked.within is not None and now > booked.since + booked.within
+                if goal.decided and goal.handle and late and not booked.owed:
                     goal.booked = msgspec.structs.replace(booked, owed=True)
                     self._book.put(goal.booked)
 
@@ -297,7 +298,7 @@ class ActionGoals:
                 why = "the arm was not there within goal_time_tolerance, and the goal was canceled"
                 result = GoalResult("aborted", TOO_LATE, why)
             if handle is not None:
-                booked = msgspec.structs.replace(booked, result=result, ended=time.time(), canceling=canceling)
+                booked = msgspec.structs.replace(booked, result=result, ended=time.monotonic(), canceling=canceling)
             goal.booked = booked
             if not booked.owed:
                 del self._open[name]

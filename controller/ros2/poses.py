@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hyperbit.controller.manipulator.frames import Frame
+from hyperbit.controller.ros2.wire.action_server import LATEST, SECOND
 
 Fields = dict[str, Any]
 
 OLDEST = 5.0  # [s], greatest age, and greatest lead, of a pose's stamp
 FARTHEST = 1e6  # greatest coordinate, as in the daemon; greater ones overflow in a frame
 LENGTH_ERROR = 0.01  # greatest error of the length of a unit quaternion
-SECOND = 1_000_000_000  # [ns]
 
 
 class BadGoal(ValueError):
@@ -54,7 +54,7 @@ def seconds(stamp: Any) -> float:
 
 def time_of(stamp: float) -> Fields:
     """Returns a UNIX time [s] as a time of ROS 2."""
-    nanoseconds = round(stamp * SECOND)
+    nanoseconds = min(round(stamp * SECOND), LATEST)
     return {"sec": nanoseconds // SECOND, "nanosec": nanoseconds % SECOND}
 
 

@@ -4,7 +4,6 @@ import itertools
 import json
 import math
 import threading
-import time
 import uuid
 from collections.abc import Callable
 from typing import Any
@@ -19,6 +18,7 @@ from hyperbit.controller.ros2.goals import ActionGoals
 from hyperbit.controller.ros2.jobs import CANCEL, MOST_WAITING, STOP, Jobs, Order, Passage, Say, Task, Withdrawn
 from hyperbit.controller.ros2.messages import INFO, WARN, header
 from hyperbit.controller.ros2.poses import BadGoal, Fields, Place, check_stamp, pose, seconds, waypoint
+from hyperbit.controller.ros2.wire.action_server import stamp_now
 from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.services import Request
 from hyperbit.controller.ros2.wire.topics import Received
@@ -158,7 +158,7 @@ class Requests:
 
     def _later(self, name: str, convert: Callable[[Any], Fields]) -> Callable[[Received], None]:
         def send(message: Any, passage: Passage) -> None:
-            booked = BookedGoal(uuid.uuid4().hex, name, (), time.time_ns(), client=False)
+            booked = BookedGoal(uuid.uuid4().hex, name, (), stamp_now(), client=False)
             self._remember(booked.id)
             try:
                 self._goals.check_room()

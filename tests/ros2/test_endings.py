@@ -21,7 +21,7 @@ from tests.ros2.samples import ACTION, TYPES, pose_stamped, trajectory_goal
 from tests.ros2.test_bad_input import ATTACHMENT, ID, SEND_GOAL, UUID, describe_again, get_result, send_goal
 
 TRIGGER, PLAN = "std_srvs/srv/Trigger_Request", "nav_msgs/srv/GetPlan_Request"
-TURN = 0.5  # [s]
+TURN, YEAR = 0.5, 31_536_000  # [s]
 CANCEL = ("cancel", ID)
 
 
@@ -220,12 +220,15 @@ def send_within(world: World, seconds: float) -> None:
     world.run_jobs()
 
 
+@pytest.mark.parametrize("years", [-20, 0, 20])
 @pytest.mark.parametrize("killed", [True, False])
 def test_a_goal_that_exceeds_its_time_is_canceled_and_ends_outside_its_tolerance(
-    world: World, daemon: Daemon, killed: bool
+    world: World, daemon: Daemon, killed: bool, years: int
 ) -> None:
+    """Also if the system's clock is set meanwhile."""
     with world.in_place():
         send_within(world, 4.5)  # after the last point, at 1 s
+        world.clock.epoch += years * YEAR
         if killed:
             world.kill()
             restart(world)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from hyperbit.controller.ros2.wire.node import Node
 
 SECOND = 1_000_000_000  # [ns]
+LATEST = 2**31 * SECOND - 1  # [ns since 1970], of the times of ROS 2
 CANCEL, STATUS = "action_msgs/srv/CancelGoal", "action_msgs/msg/GoalStatusArray"
 log = logging.getLogger(__name__)
 
@@ -42,7 +43,7 @@ class GoalHandle:
         return self._server.status(self.uuid)
 
     def accept(self) -> None:
-        self._server.step(events.GoalDecided(self.uuid, accepted=True, stamp=time.time_ns()))
+        self._server.step(events.GoalDecided(self.uuid, accepted=True, stamp=stamp_now()))
 
     def reject(self) -> None:
         self._server.step(events.GoalDecided(self.uuid, accepted=False, stamp=0))
@@ -220,6 +221,11 @@ class ActionServer:
 
 def _uuid(holder: Any) -> bytes:
     return bytes(holder.goal_id.uuid)
+
+
+def stamp_now() -> int:
+    """Returns the UNIX time [ns], at most LATEST: the clock may be set to any year."""
+    return min(time.time_ns(), LATEST)
 
 
 def _time(stamp: int) -> dict[str, int]:

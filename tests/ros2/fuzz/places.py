@@ -20,7 +20,7 @@ from tests.ros2.fuzz.network import Network
 from tests.ros2.fuzz.stand_ins import Clock, Condition
 from tests.ros2.judge.actions import Wrong
 
-TIMED = (arm_node, bridge, goals, goal_book, poses, requests, action_server, services, topics)
+TIMED = (arm_node, bridge, goals, goal_book, poses, action_server, services, topics)
 
 
 @contextlib.contextmanager

@@ -52,7 +52,7 @@ class Judge:
         servers = {name.rpartition("/")[0] for name in kinds if "/" in name}
         self.actions = {it: Actions(clock, self._receive_end, self._receive_debt) for it in servers}
         self.debts: dict[str, Debt] = {}
-        self.limits = Limits(epoch)
+        self.limits = Limits(clock, epoch)
         self._paid = deque[str](maxlen=MOST_PAID)  # cancels that may be sent still
         self._ends: dict[
             str, list[tuple[str, int, str, bool]]
