@@ -134,6 +134,7 @@ def test_the_panel_is_off_at_first_and_reaches_no_can() -> None:
     assert "enable hyperbit-panel" not in install.replace("--now ", "")
     assert "AF_CAN" not in panel["RestrictAddressFamilies"][0]
     assert panel["DynamicUser"] == ["yes"]
+    assert panel["RuntimeDirectoryPreserve"] == ["yes"], "sessions outlive the service, but not the computer's clock"
     assert "Group" not in panel, "the executor's socket is not for it"
     assert "--people" in panel["ExecStart"][0]
     assert "--listen" not in panel["ExecStart"][0], "the loopback interface, as long as nobody asks for another"

@@ -12,11 +12,11 @@ from hyperbit.controller.panel.access.sessions import Sessions
 class Access:
     """Checks tokens, cookies and names of certificates of people with distinct names. Not thread-safe.
 
-    `file` keeps the sessions over a restart; None: they end with the process. `clock` returns UNIX time [s].
+    `file` keeps the sessions over a restart; None: they end with the process.
     """
 
     def __init__(
-        self, people: Sequence[PersonEntry], file: Path | None = None, clock: Callable[[], float] = time.time
+        self, people: Sequence[PersonEntry], file: Path | None = None, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._people = {entry.name: entry for entry in people}
         self._sessions = Sessions(self._people, file, clock)

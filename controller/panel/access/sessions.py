@@ -21,18 +21,19 @@ MOST_OF_PERSON = 100  # sessions; a further log-in ends the person's oldest sess
 
 class Session(msgspec.Struct, frozen=True):
     name: str  # of the person
-    until: float  # UNIX time of its end [s]
+    until: float  # its end by CLOCK_MONOTONIC [s]
     entry: str  # digest of the person's role and token: a change of either ends the session
 
 
 class Sessions:
     """The sessions. A cookie is a random text; only its SHA-256 is kept. Not thread-safe.
 
-    `file` keeps the sessions over a restart; None: they end with the process. `clock` returns UNIX time [s].
+    `file` keeps the sessions over a restart of the process, not of the computer, with which CLOCK_MONOTONIC begins
+    anew. None: they end with the process.
     """
 
     def __init__(
-        self, people: Mapping[str, PersonEntry], file: Path | None = None, clock: Callable[[], float] = time.time
+        self, people: Mapping[str, PersonEntry], file: Path | None = None, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._people, self._file, self._clock = people, file, clock
         kept = None if file is None else read_kept(file, dict[str, Session], "all people must log in")
@@ -72,8 +73,8 @@ class Sessions:
 
 
 def sessions_file() -> Path | None:
-    """Returns the file of sessions in systemd's StateDirectory; None if there is no such directory."""
-    folder = os.environ.get("STATE_DIRECTORY")
+    """Returns the file of sessions in systemd's RuntimeDirectory; None if there is no such directory."""
+    folder = os.environ.get("RUNTIME_DIRECTORY")
     return None if folder is None else Path(folder) / "sessions.json"
 
 

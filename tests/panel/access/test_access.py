@@ -1,14 +1,16 @@
 """Access to the page: people, tokens, sessions, delays of wrong tokens."""
 
 import re
+import time
 from pathlib import Path
 
 import pytest
 
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.decoding.decoding import decode
 from hyperbit.controller.panel.access.access import Access
 from hyperbit.controller.panel.access.people import Person, PersonEntry, digest_of, read_people
-from hyperbit.controller.panel.access.sessions import MOST_OF_PERSON
+from hyperbit.controller.panel.access.sessions import LASTS, MOST_OF_PERSON, Session, sessions_file
 from hyperbit.controller.panel.access.wrong_tokens import FIRST_DELAY, FREE, LONGEST_DELAY, WrongTokens
 from tests.clock import Clock
 
@@ -36,6 +38,20 @@ def test_sessions_end(tmp_path: Path) -> None:
     assert restarted.person(second) is None
     file.write_text("{")
     assert Access([ANNA], file, clock).person(second) is None
+
+
+def test_a_restart_of_the_computer_ends_the_sessions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise their file would need times of the system's clock, which may be set."""
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    assert sessions_file() is None
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    file = sessions_file()
+    assert file is not None
+    cookie = Access([ANNA], file).enter("a")
+    (session,) = decode(file.read_bytes(), dict[str, Session]).values()
+    assert 0.0 < session.until - time.monotonic() <= LASTS
+    assert Access([ANNA], file).person(cookie) is not None
 
 
 def test_a_person_has_few_sessions() -> None:
