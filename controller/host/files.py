@@ -75,9 +75,10 @@ def set_aside(path: Path, why: object, then: str, *suffixes: str, kind: str | No
     Returns:
         The logged sentence; None if the file cannot be renamed.
     """
-    stamp = time.time_ns()
-    while os.path.lexists(renamed := Path(f"{path}.damaged-{stamp}")):
-        stamp += 1
+    found = path.parent.glob(f"{kind or glob.escape(path.name)}.damaged-*")
+    asides = sorted((int(aside.suffix[9:]), aside) for aside in found if aside.suffix[9:].isdecimal())
+    stamp = max(time.time_ns(), asides[-1][0] + 1 if asides else 0)  # the clock may have been set back
+    renamed = Path(f"{path}.damaged-{stamp}")
     try:
         for suffix in (*suffixes, ""):  # the file itself last: a kill before that leaves it in its place
             if os.path.lexists(part := f"{path}{suffix}"):
@@ -87,9 +88,7 @@ def set_aside(path: Path, why: object, then: str, *suffixes: str, kind: str | No
         return None
     told = f"{path} was damaged ({why}), and renamed to {renamed.name}; {then}"
     log.error("%s", told)
-    asides = [*path.parent.glob(f"{kind or glob.escape(path.name)}.damaged-*")]
-    others = [aside for aside in asides if aside != renamed and aside.suffix[9:].isdecimal()]
-    for old in sorted(others, key=lambda aside: int(aside.suffix[9:]))[: 1 - MOST_ASIDE]:
+    for _, old in asides[: 1 - MOST_ASIDE]:
         for suffix in (*suffixes, ""):
             Path(f"{old}{suffix}").unlink(missing_ok=True)
         log.warning("%s deleted: %d newer damaged files stay", old, MOST_ASIDE)

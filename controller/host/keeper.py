@@ -39,6 +39,7 @@ AT_MOST_EVERY = 60.0  # [s] between two saved files of a process
 SAME_CAUSE_EVERY = 3600.0  # [s] between two files of one cause: a recurring fault is saved a few times a night
 KINDS = ("executor", "planner")
 ARM = re.compile(r"[A-Za-z0-9_-]{1,64}")
+NUMBER = re.compile(r"Z(?:-.*)?-(\d+)\Z")  # of a file, after its time
 KEPT = 10  # saved files of an arm's process; the oldest ones are deleted
 RETRY = 0.02  # [s] between two attempts to lock a file
 LOOK_EVERY = 1.0  # [s] between two looks whether the file on the disk is still there
@@ -104,6 +105,12 @@ def lock(path: Path, used: str, timeout: float) -> int:
             os.close(number)
             raise
         os.close(number)
+
+
+def number_of(name: str) -> int:
+    """Returns the number at the end of a file's name, or 0. The numbers tell the order, also if the clock was set."""
+    found = NUMBER.search(name)
+    return 0 if found is None else int(found[1])
 
 
 @contextlib.contextmanager
@@ -238,14 +245,14 @@ def save(paths: Sequence[Path], folder: Path, cause: str, kept: int | None = Non
     last = about(found[-1][1])
     start = f"{last['arm']}.events-"
     stamp, word = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime()), re.sub(r"[^a-z0-9]+", "-", cause.lower())
-    path = folder / f"{start}{stamp}-{last['kind']}-{word.strip('-')[:40]}"
+    own = re.compile(re.escape(start) + rf"\d{{8}}T\d{{6}}Z-{last['kind']}-")
+    others = sorted((number_of(it.name), it) for it in folder.glob(f"{start}*") if own.match(it.name))
+    number = others[-1][0] + 1 if others else 1
+    path = folder / f"{start}{stamp}-{last['kind']}-{word.strip('-')[:40]}-{number}"
     head = json.dumps({"cause": cause, "saved": time.time()}).encode() + b"\n"
     parts = b"".join(LENGTH.pack(len(content)) + content for _, content in found)
-    if path.exists():  # of another process of the same arm, in the same second
-        path = path.with_name(f"{path.name}-{last.get('pid', os.getpid())}")
     write_whole(path, MAGIC + head + zlib.compress(parts))
-    own = re.compile(re.escape(start) + rf"\d{{8}}T\d{{6}}Z-{last['kind']}-")
-    for old in sorted(other for other in folder.iterdir() if own.match(other.name))[: -(kept or sys.maxsize)]:
+    for _, old in others[: max(len(others) + 1 - (kept or sys.maxsize), 0)]:
         old.unlink(missing_ok=True)
     return path
 

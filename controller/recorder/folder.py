@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from hyperbit.controller.host.files import is_at, set_aside
-from hyperbit.controller.host.keeper import lock_file
+from hyperbit.controller.host.keeper import lock_file, number_of
 from hyperbit.controller.recorder.repair import repair, unfinished
 
 log = logging.getLogger(__name__)
@@ -48,17 +48,14 @@ class Folder:
             os.close(lock)
         self.make_room()
         stem = f"{self._arm}-{datetime.fromtimestamp(now, UTC):%Y%m%dT%H%M%SZ}"
-        for k in range(1, 10_000):
-            path = self._path / (f"{stem}.mcap" if k == 1 else f"{stem}-{k}.mcap")
-            if not path.exists():
-                return path
-        raise FileExistsError(f"{self._path}: too many recordings begin at {stem}")
+        last = max((number_of(path.stem) for path in self._recordings()), default=0)
+        return self._path / f"{stem}-{last + 1}.mcap"
 
     def make_room(self, current: Path | None = None) -> None:
         """Deletes the oldest recordings and their frames beyond `keep` bytes, except the current recording."""
         if self._keep is None:
             return
-        recordings = sorted(self._recordings(), key=lambda path: path.stat().st_mtime_ns)
+        recordings = sorted(self._recordings(), key=lambda path: (number_of(path.stem), path.stat().st_mtime_ns))
         sizes = {path: sum(part.stat().st_size for part in parts(path)) for path in recordings}
         total = sum(sizes.values())
         for path in recordings:

@@ -1,7 +1,9 @@
 """Files of unknown content: bounded reading, and damaged files that are set aside."""
 
+import itertools
 import os
 import socket
+import time
 from pathlib import Path
 
 import pytest
@@ -66,6 +68,15 @@ def test_no_damaged_file_is_overwritten_and_the_oldest_are_deleted(tmp_path: Pat
         (path := tmp_path / "b.json").write_text("b")
         set_aside(path, "no JSON", "a new one begins")
     assert len(list(tmp_path.glob("b.json.damaged-*"))) == 2
+
+
+def test_the_newest_damaged_files_stay_though_the_clock_is_set_back(path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(time, "time_ns", itertools.count(10**18, -(10**15)).__next__)
+    for k in range(2 * MOST_ASIDE):
+        path.write_text(str(k))
+        set_aside(path, "no JSON", "a new one begins")
+    left = {aside.read_text() for aside in path.parent.iterdir()}
+    assert left == {str(k) for k in range(MOST_ASIDE, 2 * MOST_ASIDE)}
 
 
 def test_a_file_that_cannot_be_renamed_stays(path: Path, caplog: pytest.LogCaptureFixture, monkeypatch) -> None:

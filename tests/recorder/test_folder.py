@@ -15,7 +15,7 @@ from tests.recorder.test_recording import numbers, written
 def test_names_tell_arm_and_time_and_never_meet(tmp_path: Path) -> None:
     folder = Folder(tmp_path / "new" / "folder", "a")
     first = folder.new(0.0)
-    assert first.name == "a-19700101T000000Z.mcap"
+    assert first.name == "a-19700101T000000Z-1.mcap"
     first.touch()
     assert folder.new(0.0).name == "a-19700101T000000Z-2.mcap"
     folder.close()
@@ -70,14 +70,17 @@ def test_a_file_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
     assert path.read_bytes() == b"no recording, but named as one"
 
 
-def test_the_oldest_recordings_make_room(tmp_path: Path) -> None:
+@pytest.mark.parametrize("step", [-1e8, 1.0, 1e8])
+def test_the_oldest_recordings_make_room(tmp_path: Path, step: float) -> None:
+    """Whatever is the time by the system's clock, which was set before the third one."""
     folder, paths = Folder(tmp_path, "a"), []
     for k in range(4):
-        path = folder.new(float(k))
+        now = 1e9 + k + step * (k >= 2)
+        path = folder.new(now)
         path.write_bytes(b"x" * 500)
         path.with_suffix(CAN_LOG).write_bytes(b"x" * 500)
         for part in (path, path.with_suffix(CAN_LOG)):
-            os.utime(part, (k, k))
+            os.utime(part, (now, now))
         paths.append(path)
     other = tmp_path / "b-19700101T000000Z.mcap"
     other.write_bytes(b"x" * 5000)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import pickle
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -135,7 +138,7 @@ def test_opaque_values_are_left_out_and_constant_ones_are_made_from_the_arms_fil
     assert entry[:3] == (Answered(7, SceneBuilt(VersionedScene(4, False, LEFT_OUT), 1, 1), True), 1.0, 2.0)
     assert same(entry.actions, [Start(8, BuildScene(5, pillar))])
     with pytest.raises(RefusedFile, match="needs 'manipulator'"):
-        load(tmp_path / next(path.name for path in tmp_path.iterdir() if path.name.endswith("request")))
+        load(tmp_path / next(path.name for path in tmp_path.iterdir() if "-request-" in path.name))
 
 
 class Called:
@@ -203,10 +206,20 @@ def test_only_the_newest_files_are_kept(recorder: FlightRecorder, tmp_path: Path
     for path in others:
         path.touch()
     newest = save(recorder.paths, tmp_path, "Board lost!", KEPT)
-    assert newest.name.endswith("-executor-board-lost")
+    assert newest.name.endswith("-executor-board-lost-1")
     kept = sorted(path.name for path in tmp_path.glob("*-executor-*"))
     assert (len(kept), kept[-1], "20200105" in kept[0]) == (KEPT, newest.name, True)
     assert all(path.exists() for path in others)
+
+
+def test_the_newest_files_are_kept_though_the_clock_is_set_back(
+    recorder: FlightRecorder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorder.begin((), lambda count: False)
+    times = map(time.gmtime, itertools.count(1e9, -1e6))
+    monkeypatch.setattr(keeper, "time", SimpleNamespace(gmtime=times.__next__, strftime=time.strftime, time=time.time))
+    files = [save(recorder.paths, tmp_path, "Board lost!", KEPT) for _ in range(2 * KEPT)]
+    assert [path.exists() for path in files] == [False] * KEPT + [True] * KEPT
 
 
 def test_the_keeper_saves_once_a_minute_and_after_a_kill(recorder: FlightRecorder, tmp_path: Path) -> None:
@@ -214,7 +227,7 @@ def test_the_keeper_saves_once_a_minute_and_after_a_kill(recorder: FlightRecorde
     command = [sys.executable, "-I", "-S", keeper.__file__, "events", str(tmp_path), *map(str, recorder.paths)]
     ended = subprocess.run(command, input=b"bus-down\nbus-down\nstuck\n", capture_output=True, check=True)
     causes = sorted(path.name.split("-executor-")[1] for path in tmp_path.iterdir())
-    assert causes == ["bus-down", "killed"], ended.stderr
+    assert causes == ["bus-down-1", "killed-2"], ended.stderr
     assert not any(path.exists() for path in recorder.paths)
 
 

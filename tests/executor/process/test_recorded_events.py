@@ -37,7 +37,7 @@ def ready(executor: Process) -> tuple[Planner, Snapshot]:
 
 def saved(folder: Path, cause: str) -> Path:
     def found() -> list[Path]:
-        return list(folder.glob(f"planar16.events-*-executor-{cause}"))
+        return list(folder.glob(f"planar16.events-*-executor-{cause}-*"))
 
     (path,) = eventually(found)
     return path
@@ -53,7 +53,7 @@ def test_a_fault_saves_the_events_and_they_are_replayed(executor: Process, tmp_p
     planner.wait(Snapshot, lambda message: message.mode == "fault")
     path = saved(tmp_path, "emergency")
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    assert re.fullmatch(r"planar16\.events-\d{8}T\d{6}Z-executor-emergency", path.name)
+    assert re.fullmatch(r"planar16\.events-\d{8}T\d{6}Z-executor-emergency-1", path.name)
     found = replay(load(path))
     assert (found.difference, found.skipped) == (None, 0)
     assert found.core.modes.mode == "fault"
