@@ -12,11 +12,10 @@ from typing import Any
 import pytest
 import zenoh
 
-from hyperbit.controller.gateway.daemon import Warnings
+from hyperbit.controller.host.keeper import write_whole
 from hyperbit.controller.network import session
 from hyperbit.controller.planning.ledger_file import read
-from hyperbit.controller.planning.loop import Loop
-from tests.system.stack.motions import Motions
+from tests.system.stack.lives import Lives
 from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT
 from tests.system.stack.system import System
 from tests.waiting import SLOWNESS, eventually
@@ -33,48 +32,40 @@ def written(ledger: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+def clock(system: System) -> Callable[[float], float]:
     """Sets the clock of planners that start now by some seconds; the executor does not use the time of day."""
-    real, ahead = time.time, [0.0]
+    system.clock = file = system.folder / "clock"
 
-    def wall() -> float:
-        return real() + ahead[0]
+    def put(ahead: float) -> float:
+        write_whole(file, str(ahead).encode(), sync=False)
+        return ahead
 
-    monkeypatch.setattr(time, "time", wall)
-    monkeypatch.setattr(Loop.__init__, "__defaults__", (None, (time.monotonic, wall)))
-    monkeypatch.setattr(Warnings.__init__, "__defaults__", (lambda: True, tuple, wall, time.monotonic, list))
-
-    def put(seconds: float) -> None:
-        ahead[0] = seconds
-
+    put(0.0)
     return put
 
 
 @pytest.mark.fresh
-def test_a_clock_that_is_set_moves_nothing_and_ends_no_goal(
-    clock: Callable[[float], None], system: System, motions: Motions
-) -> None:
+def test_a_clock_that_is_set_moves_nothing_and_ends_no_goal(clock: Callable[[float], float], lives: Lives) -> None:
     """Takes 9 s: goals of 3 s before and after each change of the clock."""
-    system.start()
-    with system.client() as client:
-        for number, hours in enumerate((1, -1)):
-            client.move(MIDDLE, goal=f"before {number}")
-            stamp = time.time() + SLOWNESS
-            answer = client.goal(RIGHT, LEFT, MIDDLE, times=[0.0, 1.0, 2.0], stamp=stamp, id=f"a{number}")
-            assert answer["accepted"], answer
-            eventually(lambda number=number: client.feedback(f"a{number}"))
-            began, told = time.monotonic(), len(client.heard["state"])
-            clock(hours * HOUR)
-            eventually(lambda told=told: any(named(state, "clock-set") for state in client.heard["state"][told:]))
-            assert client.result(f"a{number}")["status"] == "succeeded"
-            assert time.monotonic() - began < HOUR / 2, "the other waypoints come by the steady clock"
-            state = client.wait_now("ready")
-            assert abs(state["stamp"] - time.time()) < HOUR / 2, "stamps go with the clock"
-            stamp = time.time() + 0.5 * SLOWNESS
-            assert client.goal(RIGHT, stamp=stamp, id=f"b{number}")["accepted"], "and so do goals"
-            assert client.result(f"b{number}")["status"] == "succeeded"
-        motions.agree(system.boards)
-        assert motions.switched.sum() == sum(result["switches"] for result in client.heard["result"])
+    client, ahead = lives.client, 0.0
+    for number, hours in enumerate((1, -1)):
+        client.move(MIDDLE, goal=f"before {number}")
+        stamp = time.time() + ahead + SLOWNESS
+        answer = client.goal(RIGHT, LEFT, MIDDLE, times=[0.0, 1.0, 2.0], stamp=stamp, id=f"a{number}")
+        assert answer["accepted"], answer
+        eventually(lambda number=number: client.feedback(f"a{number}"))
+        began, told = time.monotonic(), len(client.heard["state"])
+        ahead = clock(hours * HOUR)
+        eventually(lambda told=told: any(named(state, "clock-set") for state in client.heard["state"][told:]))
+        assert client.result(f"a{number}")["status"] == "succeeded"
+        assert time.monotonic() - began < HOUR / 2, "the other waypoints come by the steady clock"
+        state = client.wait_now("ready")
+        assert abs(state["stamp"] - time.time() - ahead) < HOUR / 2, "stamps go with the clock"
+        stamp = time.time() + ahead + 0.5 * SLOWNESS
+        assert client.goal(RIGHT, stamp=stamp, id=f"b{number}")["accepted"], "and so do goals"
+        assert client.result(f"b{number}")["status"] == "succeeded"
+    lives.check()
+    assert lives.motions.switched.sum() == sum(result["switches"] for result in client.heard["result"])
 
 
 def named(state: dict[str, Any], code: str) -> bool:

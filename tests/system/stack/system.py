@@ -46,6 +46,7 @@ class System:
         boards: the simulated boards, in threads of this process.
         planner: its process, if it has one of its own.
         daemon: of the planner, if it is in this process.
+        clock: file with the seconds by which the system's clock is ahead in a planner's process; None: there is none.
         config: of the planner's Zenoh session; by default it listens at the endpoint.
         clients: returns the configuration of clients' sessions.
 
@@ -78,6 +79,7 @@ class System:
         self.executor: Process | None = None
         self.planner: Process | None = None
         self.daemon: Daemon | None = None
+        self.clock: Path | None = None
         self._planner_end = ExitStack()
         self.boards = self._start_boards()
 
@@ -140,7 +142,8 @@ class System:
         config.insert_json5(LEASE, str(round(1e3 * lease)))
         file.write_text(str(config))
         arguments = [str(self.file), "--socket", str(self.socket), "--zenoh", str(file), "--ledger", str(self.ledger)]
-        self.planner = self._nurseries["planner"].start(arguments, self.folder / "planner.log", self._environment)
+        environment = self._environment | ({} if self.clock is None else {"CLOCK": str(self.clock)})
+        self.planner = self._nurseries["planner"].start(arguments, self.folder / "planner.log", environment)
         return self.planner
 
     def end_planner(self) -> None:
