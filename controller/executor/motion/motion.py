@@ -6,7 +6,7 @@ from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.arm.kinds import Kinds, first, merged
 from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
-from hyperbit.controller.executor.motion.actuation import Actuation, Readings, TravelTimes
+from hyperbit.controller.executor.motion.actuation import Actuation
 from hyperbit.controller.executor.motion.motion_supervision import MotionSupervision
 from hyperbit.controller.executor.motion.program_execution import (
     EPSILON,
@@ -15,6 +15,7 @@ from hyperbit.controller.executor.motion.program_execution import (
     ProgramResults,
     SetpointStream,
 )
+from hyperbit.controller.executor.motion.readings import Readings, TravelTimes
 from hyperbit.controller.program import MOST_TRAVELS, Begun, Clearance, Question, Settled, Up, pack
 from hyperbit.drivers.canopen.run.master import Master
 

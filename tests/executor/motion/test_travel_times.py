@@ -10,7 +10,7 @@ from hyperbit.controller.executor.arm.kinds import Ends
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import ExecutorTick, FromClient, SendFrame, ToClient
-from hyperbit.controller.executor.motion.actuation import TravelTimes
+from hyperbit.controller.executor.motion.readings import TravelTimes
 from hyperbit.controller.executor.process.embedded_boards import EmbeddedBoards
 from hyperbit.controller.program import VERSION, Alive, Ended, Hello, Program, Snapshot, Stage, Travel, pack
 from hyperbit.drivers.simulation.buses import LEAST_PULSE
