@@ -18,8 +18,9 @@ from hyperbit.controller.library.goals import Goal
 from hyperbit.controller.library.many import map
 from hyperbit.controller.library.modules import Module, platform, prismatic, revolute, transforms, vgt
 from hyperbit.controller.library.obstacles import Box, Disc, HalfPlane, HalfSpace, Obstacle, Sphere
+from hyperbit.controller.library.path import Path
 from hyperbit.controller.library.plot import plot
-from hyperbit.controller.library.solver import Path, Solver
+from hyperbit.controller.library.solver import Solver
 from hyperbit.controller.search.method import METHODS, Method
 from hyperbit.controller.search.solution import Certificate, Solution
 

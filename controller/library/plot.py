@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from hyperbit.controller.library.arm import Arm
 from hyperbit.controller.library.obstacles import Obstacle, build_obstacles
-from hyperbit.controller.library.solver import Path
+from hyperbit.controller.library.path import Path
 from hyperbit.controller.obstacles.obstacles import together
 from hyperbit.controller.pictures import plots
 from hyperbit.controller.search.solution import Solution

@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from queue import SimpleQueue
 from typing import Any, TypeAlias
@@ -18,6 +18,7 @@ from hyperbit.controller.library.arm import Arm
 from hyperbit.controller.library.errors import GoalError, PathError
 from hyperbit.controller.library.goals import Goal, Number, ToleratedGoal, with_tolerances
 from hyperbit.controller.library.obstacles import Obstacle, build_obstacles
+from hyperbit.controller.library.path import Path
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.motion.plans.transitions import TransitionPlanner
 from hyperbit.controller.motion.plans.whole import (
@@ -35,58 +36,11 @@ from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search import solver as search
 from hyperbit.controller.search.method import METHODS, MINIMUM_SWITCH, Method
 from hyperbit.controller.search.search_time import TIMEOUT, SearchTime, search_effort, search_time
-from hyperbit.controller.search.solution import Certificate, Solution, gap
+from hyperbit.controller.search.solution import Solution
 
 GOAL_DEADLINE, PATH_DEADLINE = TIMEOUT, WHOLE_TIME
 
 Start: TypeAlias = "ArrayLike | Solution | Path | None"  # a configuration may be text
-
-
-@dataclass(frozen=True, eq=False)
-class Path:
-    """Configurations through several goals.
-
-    Attributes:
-        goals: the goals.
-        positions: points of the path in the world, shape (n, dimension): the goals, and points between them if straight
-            lines are followed.
-        solutions: one for each point; switches are counted from the previous point.
-        waypoints: index of each goal's point, shape (m,).
-        certificate: certificate for the cost of the whole path, see Solution.certificate.
-        bound: proven lower bound of the cost of all paths through the goals; 0 if nothing is proven.
-    """
-
-    goals: tuple[Goal, ...]
-    positions: NDArray[np.float64]
-    solutions: tuple[Solution, ...]
-    waypoints: NDArray[np.int64]
-    certificate: Certificate
-    bound: float
-
-    @property
-    def configurations(self) -> NDArray[np.int64]:
-        """Configuration at each point, shape (n, B)."""
-        return np.array([solution.configuration for solution in self.solutions])
-
-    @property
-    def switches(self) -> int:
-        """Number of switches along the path."""
-        return sum(solution.switches for solution in self.solutions)
-
-    @property
-    def cost(self) -> float:
-        """Weighted number of switches along the path."""
-        return sum(solution.cost for solution in self.solutions)
-
-    @property
-    def lower_bound(self) -> float | None:
-        """The lower bound; None if nothing is proven."""
-        return None if self.certificate == "unknown" else self.bound
-
-    @property
-    def gap(self) -> float | None:
-        """Share by which the cost exceeds the lower bound; None if nothing is proven."""
-        return gap(self.certificate, self.bound, self.cost)
 
 
 class Solver:

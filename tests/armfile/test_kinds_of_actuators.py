@@ -1,4 +1,4 @@
-"""The arm's file: kinds of actuators, interlocks and what is said of single boards."""
+"""The arm's file: kinds of actuators and what is said of single boards."""
 
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,6 @@ from hyperbit.drivers.canopen.wiring import (
     Channel,
     Interlock,
     NodeWiring,
-    WatchedObject,
     Wiring,
 )
 from tests.arm_files import document
@@ -40,16 +39,6 @@ def with_boards(actuator: dict[str, Any] | None = None, **fields: Any) -> dict[s
 
 def with_node(actuator: dict[str, Any] | None = None, **fields: Any) -> dict[str, Any]:
     return with_boards(actuator, nodes=[{"bus": "can0", "node": 1, **fields}])
-
-
-def with_interlock(**fields: Any) -> dict[str, Any]:
-    """The valid document with an interlock on a board of its own."""
-    return {**document(), "interlocks": {"door": {"bus": "can0", "node": 9, "input": 3, **fields}}}
-
-
-def with_object(index: Any, **fields: Any) -> dict[str, Any]:
-    """The same with a bit of an object as the interlock."""
-    return with_interlock(**{"input": None, "object": index, "bit": 0, **fields})
 
 
 def loaded(folder: Path, value: dict[str, Any]) -> ExecutedArm:
@@ -117,38 +106,6 @@ FAULTS = [
     ),
     (with_actuator(settle_margin=-1), "actuators[1].settle_margin: Expected `float` >= 0.0 (given: -1)"),
     ({**document(), "on_stop": "extend"}, "on_stop: 'extend' is unknown"),
-    (with_interlock(bus="can7"), "interlocks.door.bus: 'can7' is none of the buses can0, spare"),
-    (with_interlock(node=127), "interlocks.door.node: Expected `int` <= 126 (given: 127)"),
-    (with_interlock(node=1, input=0), "interlocks.door.input: input 0 of can0/1 is 1.left's already"),
-    (with_interlock(output=0), "interlocks.door.output: unknown field; known are bit, bus, input, inverted"),
-    (with_interlock(input=None), "interlocks.door: neither input nor object; needed is, for example, input: 3"),
-    (with_interlock(bit=3), "interlocks.door.bit: without `object`; needed is, for example, object: 0x2102"),
-    (with_interlock(sub=1), "interlocks.door.sub: without `object`"),
-    (with_interlock(object=0x2102, bit=0), "interlocks.door.input: 3, but 0x2102 is given, too; an interlock is an i"),
-    (with_object(0x2102, bit=None), "interlocks.door.bit: required with `object`, from 0 to 31"),
-    (with_object(0x2102, bit=32), "interlocks.door.bit: Expected `int` <= 31 (given: 32)"),
-    (with_object(0x2102, sub=255), "interlocks.door.sub: Expected `int` <= 254 (given: 255)"),
-    (with_object("2102h"), "interlocks.door.object: Expected `int | null`, got `str` (given: '2102h')"),
-    (
-        with_object(2102),
-        "interlocks.door.object: 0x0836, but 0x1001, 0x1002 or an object from 0x2000 to 0x9fff is needed; did you m",
-    ),
-    (with_object(0x1000), "interlocks.door.object: 0x1000, but 0x1001, 0x1002 or an object from 0x2000 to 0x9fff is"),
-    (
-        with_object(0x6000, sub=2, bit=3),
-        "interlocks.door.object: 0x6000 has the inputs of the board; needed is input: 11",
-    ),
-    (with_object(0x1001, bit=8, inverted=True), "interlocks.door.bit: 1001h has sub 0 only, with 8 bits in 1001h"),
-    (with_object(0x1001), "interlocks.door.inverted: false, but the bits of 1001h (error register) are 1 in an erro"),
-    (
-        {
-            **with_object(0x2102),
-            "interlocks": {name: {"bus": "can0", "node": 9, "object": 0x2102, "bit": 0} for name in "ab"},
-        },
-        "interlocks.b.bit: 2102h sub 0 bit 0 of can0/9 is interlock a's already",
-    ),
-    ({**document(), "interlocks": {"the door": {"bus": "can0", "node": 9, "input": 3}}}, "interlocks.the door: Expect"),
-    ({**document(), "interlocks": [1]}, "interlocks: Expected `object`, got `array` (given: [1])"),
     (with_boards(error_state="drop"), "boards.error_state: 'drop' is unknown"),
     (with_boards(error_state=True), "boards.error_state: true, but off, hold or device is needed"),
     (
@@ -247,8 +204,6 @@ def test_all_that_can_be_said_of_an_actuator(tmp_path: Path) -> None:
     assert third == Channel("1.right", "can0", 1, 2, 2, travel=(0.05, 0.05))
     assert arm.wiring.nodes == (NodeWiring("can0", 1, object=0x2201, vendor=0x21),)
     assert arm.wiring.interlocks == (Interlock("door", "can0", 9, 3, inverted=True),)
-    watched = Interlock("door", "can0", 9, 4, watched=WatchedObject(0x2102, 1))
-    assert loaded(tmp_path, with_object(0x2102, sub=1, bit=4)).wiring.interlocks == (watched,)
     assert (arm.contract_on_stop, arm.timing.travel_time) == (True, 0.3)
 
 

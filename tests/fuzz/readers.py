@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import io
 import json
@@ -12,13 +11,10 @@ import random
 import tempfile
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
-import msgspec
 import zenoh
 from rich.console import Console
 
@@ -37,21 +33,13 @@ from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.gateway.server import GatewayParts, Server
 from hyperbit.controller.host.files import read_kept
-from hyperbit.controller.network import client as network_client
 from hyperbit.controller.network.client import Client, Unanswered
 from hyperbit.controller.network.fleet import ArmAddress, Fleet, Presence
 from hyperbit.controller.network.listener import ReceivedMessage
 from hyperbit.controller.network.messages import filled
 from hyperbit.controller.network.stop_all import note
-from hyperbit.controller.panel.access.access import Access
-from hyperbit.controller.panel.access.people import Person, read_people
+from hyperbit.controller.panel.access.people import read_people
 from hyperbit.controller.panel.access.sessions import Session
-from hyperbit.controller.panel.app import PanelServer
-from hyperbit.controller.panel.arms import arm_view
-from hyperbit.controller.panel.arms.arms import Arms
-from hyperbit.controller.panel.arms.metrics import exposition
-from hyperbit.controller.panel.arms.pages import Page
-from hyperbit.controller.panel.requests import BadRequest, decode_request
 from hyperbit.controller.planning.core.goal import Context
 from hyperbit.controller.planning.core.results import decode_context
 from hyperbit.controller.planning.planner import RequestDecoder
@@ -65,67 +53,19 @@ from hyperbit.controller.ros2.wire.cdr import BadMessage, deserialize
 from tests.fuzz import requests
 from tests.fuzz.frames import Lines
 from tests.fuzz.judge import Flood
+from tests.fuzz.messages import ANSWER, ARM, POSE, PUBLISHED, STATE
 from tests.fuzz.mutations import HEAD
 from tests.fuzz.packets import MESSAGES
-from tests.fuzz.still import Query, Reply, Sample, StillSession
+from tests.fuzz.page_readers import http, page, page_request
+from tests.fuzz.still import Query, Reply, Sample, StillSession, Take, at_once
 from tests.gateway.conftest import FakePlanner
 from tests.keys import DEPLOY
-from tests.panel.conftest import PEOPLE
 from tests.ros2.fuzz.inputs import KINDS, Inputs
 from tests.ros2.fuzz.world import World
-from tests.ros2.samples import TYPES, state, told
+from tests.ros2.samples import TYPES
 
 ROOM = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
-Take = Callable[[str, bytes], None]
 MOST_LINES = 60  # of the log, however many inputs there are
-
-FAULT = {"code": "board-lost", "source": "can0/5", "message": "board can0/5 is silent"}
-STATE = {
-    **state(faults=[FAULT], target={"position": [0.5, 2.8], "orientation": 0.1}, goal="a-1", waypoint=0),
-    **{"progress": {"waypoints": 5, "reached": 2, "begins": 95.0, "ends": 103.2}, "bias": [0.0, 0.001]},
-    **{"degraded": [{"actuator": "5.left", "state": 0}], "poses": 1},
-}
-DIAGNOSTICS = {
-    "buses": [
-        {
-            **{"name": "can0", "state": "connected", "load": 0.1, "worst_case": {"load": 0.3}, "dropped": 0},
-            **{"tx_frames": 1, "rx_frames": 2, "tx_errors": 0, "rx_errors": 0},
-        }
-    ],
-    "boards": [{"bus": "can0", "node": 5, "state": "lost", "emergency": None, "heartbeat_age": 0.1}],
-    "loop": {
-        **{"late_p50": 1e-4, "late_p99": 1e-3, "late_worst": 0.001, "longest_period": 0.011},
-        **{"mean_work": 1e-4, "longest_work": 2e-4, "overruns": 0.0},
-    },
-    **{"switches": 5, "ledger": "ok", "counts": [0] * 48, "queues": {"goals": 0}, "waits": 0, "executor": "connected"},
-    "setpoint": {"received": 1, "refused": 0, "last_refusal": None},
-}
-ANSWER = {"accepted": True, "code": 0, "message": "accepted", "id": "a-1"}
-RESULT = {
-    **{"id": "a-1", "status": "succeeded", "code": 0, "message": "reached", "switches": 3, "error": 0.001},
-    **{"orientation_error": None, "position": [0.5, 2.8], "certificate": "optimal", "travels": [], "repeated": False},
-}
-FEEDBACK = {
-    **{"id": "a-1", "waypoint": 0, "waypoints": 5, "configuration": "0" * 16, "error": 0.001},
-    **{"orientation_error": None, "switches": 3},
-}
-POSE = {"name": "home", "goal": {"waypoints": [{"configuration": "0" * 16}]}}
-OBSTACLES = requests.OBSTACLES["regions"]
-ARM = {
-    **told(),
-    **{"limits": [], "sent_obstacles": OBSTACLES, "poses": [POSE], "daemon": {"host": "robot", "pid": 1}},
-    **{"running": {"goal": "a-1", "waypoints": [[0.5, 2.8]]}, "file": {"name": "a.yaml", "text": "a: 1", "sha256": ""}},
-}
-PUBLISHED = {
-    **{"state": STATE, "diagnostics": DIAGNOSTICS, "result": RESULT, "feedback": FEEDBACK, "arm": ARM},
-    "request": {"stamp": 1.5e9, "key": "goal", "payload": requests.GOAL, "answer": ANSWER},
-    "timeline": {"begin": 1.0, "end": 9.0, "at": 2.0, "speed": 1.0, "paused": False, "file": "a.mcap"},
-}
-
-
-def at_once() -> AbstractContextManager[object]:
-    """Lets a client ask again without a pause, after an answer that it cannot read."""
-    return mock.patch.object(network_client, "PAUSE", 0.0)
 
 
 class Quiet:
@@ -187,84 +127,6 @@ def recorder() -> Take:
         one.turn()
         for old in sorted(folder.glob("*.mcap"))[:-1]:
             old.unlink()
-
-    return take
-
-
-def page() -> Take:
-    """The page's view of an arm, with an open page, and the metrics."""
-    session, loop = StillSession(), asyncio.new_event_loop()
-
-    async def opened() -> tuple[Arms, Page]:
-        arms = Arms(session, "hyperbit", lambda: [], replay=True)  # type: ignore[arg-type]
-        one = Page(Person("anna", "operator"))
-        arms.open(one, "planar16")
-        return arms, one
-
-    arms, one = loop.run_until_complete(opened())
-    for task in arms._tasks:
-        task.cancel()
-
-    async def turn(key: str, data: bytes) -> None:
-        view = arms.views["planar16"]
-        if key == "arm":
-            session.answer, view._again = data, True
-            view._wanted = {"drawing", "running", "density"}
-            with mock.patch.object(arm_view, "ASK_AGAIN", 0.0), at_once():
-                await view._answer()
-        else:
-            session.subscribers[f"hyperbit/*/{key}"](Sample(f"hyperbit/planar16/{key}", zenoh.ZBytes(data)))
-            for _ in range(3):
-                await asyncio.sleep(0)
-            arms.hear_states(due=True)
-            view.cancel_request()  # of a description, which this state asks for
-        for section in one._latest.values():
-            json.loads(section)
-        exposition(arms.known(), arms.counters)
-
-    return lambda key, data: loop.run_until_complete(turn(key, data))
-
-
-def page_request() -> Take:
-    def take(key: str, data: bytes) -> None:
-        with contextlib.suppress(BadRequest):
-            msgspec.json.encode(decode_request(data.decode("utf-8", "surrogateescape")))
-
-    return take
-
-
-def http() -> Take:
-    """The log-in, headers and paths of the page's server."""
-    server, loop = PanelServer(StillSession, Access(PEOPLE)), asyncio.new_event_loop()  # type: ignore[arg-type]
-    server._wrong.delay = lambda address: 0.0  # type: ignore[method-assign]
-
-    async def ask_server(key: str, data: bytes) -> list[Any]:
-        sent: list[Any] = []
-        path = (
-            data.decode("utf-8", "replace") if key == "path" else "/metrics" if key == "authorization" else "/session"
-        )
-        headers = [(b"host", b"127.0.0.1:7480"), (b"origin", b"http://127.0.0.1:7480")]
-        headers += [(key.encode(), data)] if key in ("cookie", "authorization", "origin", "host") else []
-        method = "GET" if key in ("path", "authorization") else "DELETE" if key == "cookie" else "POST"
-        scope = {
-            **{"type": "http", "http_version": "1.1", "method": method, "scheme": "http", "path": path, "state": {}},
-            **{"raw_path": data, "query_string": data if key == "path" else b"", "headers": headers},
-            **{"client": ("127.0.0.1", 1), "server": ("127.0.0.1", 7480), "root_path": ""},
-        }
-        body = {"type": "http.request", "body": data if key == "session" else b"{}", "more_body": False}
-
-        async def receive() -> Any:
-            return body
-
-        async def send(message: Any) -> None:
-            sent.append(message)
-
-        await server.app(scope, receive, send)
-        return sent
-
-    def take(key: str, data: bytes) -> None:
-        answer = loop.run_until_complete(ask_server(key, data))
-        assert answer[0]["status"] < 500, answer
 
     return take
 

@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from types import SimpleNamespace
 from typing import Any, NamedTuple
+from unittest import mock
 
 import zenoh
+
+from hyperbit.controller.network import client as network_client
+
+Take = Callable[[str, bytes], None]  # a reader of a key, or a file's name, and bytes
+
+
+def at_once() -> AbstractContextManager[object]:
+    """Lets a client ask again without a pause, after an answer that it cannot read."""
+    return mock.patch.object(network_client, "PAUSE", 0.0)
 
 
 class Sample(NamedTuple):
