@@ -11,7 +11,8 @@ from hyperbit.drivers.canopen.faults import ArmFault, FaultLog
 from hyperbit.drivers.canopen.layout import lay_out, worst_case
 from hyperbit.drivers.canopen.pdo import union
 from hyperbit.drivers.canopen.run.error_reads import ErrorReads
-from hyperbit.drivers.canopen.run.heartbeat import BEAT, Heartbeat, LoopClock
+from hyperbit.drivers.canopen.run.heartbeat import Heartbeat, LoopClock
+from hyperbit.drivers.canopen.run.intruders import find_intruder
 from hyperbit.drivers.canopen.run.switching import OutputSwitching
 from hyperbit.drivers.canopen.run.verification import InputWatch, Verification
 from hyperbit.drivers.canopen.sdo.errors import Errors
@@ -19,9 +20,7 @@ from hyperbit.drivers.canopen.status import MasterStatus
 from hyperbit.drivers.canopen.wire import cia301, events
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, wire_bits
 from hyperbit.drivers.canopen.wire.link import Link
-from hyperbit.drivers.canopen.wiring import MASTER, Interlock, Timing, Wiring
-
-_OWN = {cia301.NMT: "NMT", cia301.SYNC: "SYNC", BEAT.id: "the master's heartbeat"}  # frames that only a master sends
+from hyperbit.drivers.canopen.wiring import Interlock, Timing, Wiring
 
 
 class Master:
@@ -306,22 +305,10 @@ class Master:
     def _receive_frame(self, bus: str, frame: Frame, time: float) -> bool:
         """Takes a frame of another node; returns whether it was understood."""
         cob_id, data = frame
-        rpdo = "an RPDO" if (bus, cob_id) in self._outputs.frames else None
-        if cob_id == BEAT.id and data != BEAT.data:
-            text = f"a device on {bus} has node id {MASTER}, which is hyperbit's own (frame {cob_id:03X}h)"
-            self._log.report(ArmFault("duplicate-node", bus, f"{text}: give it another one: hyperbit node-id"))
-            return True
-        if (what := _OWN.get(cob_id, rpdo)) is not None:
-            text = f"another master sends on {bus} ({what}, frame {cob_id:03X}h)"
-            text += ": stop it, only one may switch the boards"
-            other = f"; or a device has node id {MASTER}: give it another one (hyperbit node-id)"
-            self._log.report(ArmFault("foreign-master", bus, text + other * (cob_id == BEAT.id)))
+        if (fault := find_intruder(bus, frame, is_rpdo=(bus, cob_id) in self._outputs.frames)) is not None:
+            self._log.report(fault)
             if cob_id == cia301.NMT and len(data) == 2:
-                here = [board for board in self._boards if board.layout.bus == bus]
-                for each in (board for board in here if data[1] in (0, board.layout.node)):
-                    each.obey(data[0])
-                    if data[0] == Command.START:  # the pins now match 6200h, so its boot begins again
-                        self._booting.rebooted(each, time)
+                self._obey(bus, data[0], data[1], time)
             return True
         board = self._by_id.get((bus, cob_id & 0x7F))
         if board is None or not 0 <= cob_id <= 0x7FF:
@@ -334,6 +321,14 @@ class Master:
             self._heartbeat.answered(board, time)
         board.runner.check(time)
         return understood
+
+    def _obey(self, bus: str, command: int, node: int, time: float) -> None:
+        """Takes another program's NMT command to a node, or to all nodes of a bus: 0."""
+        here = [board for board in self._boards if board.layout.bus == bus]
+        for each in (board for board in here if node in (0, board.layout.node)):
+            each.obey(command)
+            if command == Command.START:  # the pins now match 6200h, so its boot begins again
+                self._booting.rebooted(each, time)
 
     def _report_pause(self, now: float) -> None:
         if (fault := self.find_pause(now)) is not None:
