@@ -33,10 +33,15 @@ def board_error(board: str, text: str) -> ArmFault:
     return ArmFault("board-error", board, f"board {board} reports an error: {text}. {remedy(board)}")
 
 
+def left_operational(board: str, seen: str) -> str:
+    """Returns the sentence for a board that left the state operational; `seen`: when, and its state now."""
+    return f"board {board} left the state operational {seen}: read its errors. {remedy(board)}"
+
+
 def remedy(board: str) -> str:
     """Returns what to do about an error of a board."""
     command = f"hyperbit board ARM.yaml {board} reset --communication"
-    return f"Remove its cause, then reset. If it has none, stop the executor, and: {command}"
+    return f"Remove the cause, then reset. If there is none, stop the executor, and: {command}"
 
 
 class FaultLog:

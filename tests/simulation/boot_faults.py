@@ -168,7 +168,7 @@ class BootFaults:
 
     def _error(self, board: Any, base: int, sub: int) -> Refusal:
         board.emergencies.report(0xFF00, 0x80)
-        return Refusal("board-error", ("1001h", "1003h", "Remove its cause"))
+        return Refusal("board-error", ("1001h", "1003h", "Remove the cause"))
 
     def _unreadable(self, board: Any, base: int, sub: int) -> Refusal:
         board.objects.refused[base, sub] = 0x0606_0000

@@ -15,6 +15,15 @@ from hyperbit.drivers.canopen.run.master import Master
 
 SNAPSHOT_EVERY, DIAGNOSTICS_EVERY = 0.05, 1.0  # [s]
 MOST_FAULTS, MOST_TEXT = 50, 300  # faults, and characters of each, so that a snapshot fits one message
+END_FROM = 100  # characters before the cut of a longer text
+
+
+def cut(text: str) -> str:
+    """Cuts words out of the middle of a long text: the beginning says what is wrong and where, the end what to do."""
+    if len(text) <= MOST_TEXT:
+        return text
+    head, tail = text[:END_FROM], text[END_FROM + 3 - MOST_TEXT :]
+    return f"{head.rpartition(' ')[0] or head} … {tail.partition(' ')[2] or tail}"
 
 
 class Reports:
@@ -72,9 +81,7 @@ class Reports:
             program=-1 if execution is None else execution.program.program,
             mark=-1 if execution is None else execution.mark,
             stream=-1 if stream is None else stream.number,
-            faults=tuple(
-                Fault(fault.code, fault.source[:100], fault.message[:MOST_TEXT]) for fault in every[:MOST_FAULTS]
-            ),
+            faults=tuple(Fault(fault.code, fault.source[:100], cut(fault.message)) for fault in every[:MOST_FAULTS]),
         )
 
     def receive_health(self, health: Health) -> None:

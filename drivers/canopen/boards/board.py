@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from hyperbit.drivers.canopen.boards.beat_count import BeatCount
-from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.faults import ArmFault, left_operational
 from hyperbit.drivers.canopen.layout import BoardLayout
 from hyperbit.drivers.canopen.pdo import (
     FIRST_WATCHED,
@@ -248,8 +248,8 @@ class Board:
             what = "it has restarted, its outputs are unknown: check its supply, then reset"
             self.fail("board-rebooted", f"board {self.name}: {what}")
         elif self._ready and state is not State.OPERATIONAL:
-            what = f"it left the state operational without a command and is {state.words} now"
-            self.fail("board-stopped", f"board {self.name}: {what}: read its errors, then reset")
+            seen = f"without a command and is {state.words} now"
+            self.fail("board-stopped", left_operational(self.name, seen))
         return True
 
     def _receive_emergency(self, code: int, register: int) -> None:

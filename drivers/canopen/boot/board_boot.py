@@ -12,7 +12,7 @@ from hyperbit.drivers.canopen.boot import configuration, inspection, pdo_search
 from hyperbit.drivers.canopen.boot.inspection import Inspection
 from hyperbit.drivers.canopen.boot.pins import settle
 from hyperbit.drivers.canopen.boot.undo import Undo
-from hyperbit.drivers.canopen.faults import ArmFault, board_error, remedy
+from hyperbit.drivers.canopen.faults import ArmFault, board_error, left_operational, remedy
 from hyperbit.drivers.canopen.layout import BoardLayout
 from hyperbit.drivers.canopen.pdo import INPUTS, Pdo, carries, subs_of
 from hyperbit.drivers.canopen.sdo import errors, objects
@@ -274,9 +274,8 @@ def _read_back(boot: Boot) -> Procedure:
     yield from board.ask_watched()
     if board.state is not State.OPERATIONAL:
         seen = "its state is unknown" if board.state is None else f"it is {board.state.words}"
-        raise BoardError(
-            ArmFault("board-stopped", board.name, f"board {board.name} left operational while booting; {seen}")
-        )
+        text = left_operational(board.name, f"while booting; {seen}")
+        raise BoardError(ArmFault("board-stopped", board.name, text))
     boot.outputs.adopt(boot.index, rpdos, values)
     kept = it.kept.register if it.kept is not None else 0
     board.warnings, board.ignored_errors = tuple(it.warnings), it.quirk.ignored_errors | kept

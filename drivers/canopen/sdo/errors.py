@@ -95,9 +95,10 @@ class Errors(NamedTuple):
         return any(value & 0xFFFF == MASTER_LOST for _, value in self.standing)
 
     def words(self, reported: int | None = None) -> str:
-        """Returns a sentence with 1001h, the entries of 1003h that explain it, and the last emergency."""
+        """Returns a sentence with 1001h, the entries of 1003h that explain it, and the last emergency if it differs."""
         text = f"error register 1001h sub 0 is {self.register:02X}h; 00h is needed"
-        for sub, value in self.others or self.standing:
+        named = self.others or self.standing
+        for sub, value in named:
             text += f"; 1003h sub {sub} is {value:08X}h, {cia301.emergency_words(value & 0xFFFF)}"
         if self.history is None:
             text += "; it has no 1003h (error history)"
@@ -105,7 +106,7 @@ class Errors(NamedTuple):
             text += "; no entry of 1003h (error history) stands"
         elif not self.complete:
             text += "; 1003h may not have all errors: it is full, or could not be read"
-        if reported is not None:
+        if reported is not None and all(value & 0xFFFF != reported for _, value in named):
             text += f"; it reported {cia301.emergency_words(reported)}"
         return text
 

@@ -7,6 +7,8 @@ import pytest
 from hyperbit.controller.executor.core.events import ExecutorTick, Health
 from hyperbit.controller.executor.core.reports import SNAPSHOT_EVERY
 from hyperbit.controller.program import TICK, Fault, Snapshot, unpack
+from hyperbit.drivers.canopen.faults import ArmFault, board_error, left_operational, remedy
+from hyperbit.drivers.canopen.sdo.errors import Errors
 from tests.executor.rig import Rig, ready
 
 
@@ -39,6 +41,22 @@ def test_a_journal_that_cannot_be_written_is_a_warning_until_it_can() -> None:
     assert rig.snapshot.faults == (Fault("journal", "executor", "the disk is full"),)
     rig.do(Health({}, 0, None))
     assert rig.snapshot.faults == ()
+
+
+@pytest.mark.parametrize("board", ["can0/5", f"{'b' * 64}/126"])
+def test_the_longest_sentences_on_boards_keep_their_beginning_and_their_remedy(board: str) -> None:
+    errors = Errors(0xFF, (0x8130,) * 254, complete=False)
+    rig = ready()
+    rig.master.fail(board_error(board, errors.words(0x2340)))
+    rig.master.fail(
+        ArmFault("board-stopped", board, left_operational(board, "without a command and is pre-operational"))
+    )
+    rig.go()
+    assert len(rig.snapshot.faults) == 2
+    for fault in rig.snapshot.faults:
+        assert len(fault.message) <= 300
+        assert fault.message.startswith(f"board {board} ")
+        assert fault.message.endswith(remedy(board))
 
 
 def test_the_awake_time_begins_with_the_first_tick_and_counts_a_late_tick_as_two() -> None:

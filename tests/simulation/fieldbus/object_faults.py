@@ -85,7 +85,7 @@ class ObjectFaults(FaultMaker):
             objects.set_number(0x1003, 0, 1)
             objects.set_number(0x1001, 0, register)
 
-        words = (f"1001h sub 0 is {register:02X}h", "1003h sub 1 is", f"({code:04X}h)", "Remove its cause")
+        words = (f"1001h sub 0 is {register:02X}h", "1003h sub 1 is", f"({code:04X}h)", "Remove the cause")
         expected = Expected(("board-error",), self._name, words, self._turn + 0.5)
 
         def mend() -> None:

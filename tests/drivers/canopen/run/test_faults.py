@@ -129,6 +129,16 @@ def test_a_device_with_the_node_id_of_the_master_is_no_other_master(state):
     assert "hyperbit node-id" in fault.message
 
 
+def test_a_board_that_leaves_operational_is_told_with_the_remedy():
+    world = World().up()
+    world.say(0x705, bytes([State.PRE_OPERATIONAL]))
+    world.run(0.01)
+    [fault] = world.faults
+    assert (fault.code, fault.source) == ("board-stopped", "can0/5")
+    assert "without a command and is pre-operational now: read its errors" in fault.message
+    assert fault.message.endswith("hyperbit board ARM.yaml can0/5 reset --communication")
+
+
 def test_another_program_on_the_same_computer_is_another_master():
     world = World().up()
     world.master.receive_event(FrameEchoed("can0", Frame(0x205, b"\x00"), None), world.now)

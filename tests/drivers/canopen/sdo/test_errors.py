@@ -51,6 +51,11 @@ def test_without_a_history_an_emergency_tells_the_cause(reported, lost):
     assert not Errors(0x01, None).lost(reported)
 
 
+@pytest.mark.parametrize(("reported", "told"), [(HARDWARE, False), (OVERLOAD, True)])
+def test_the_sentence_has_an_emergency_only_if_no_entry_has_it(reported, told):
+    assert ("it reported" in errors(0x01, HARDWARE).words(reported)) is told
+
+
 def test_the_sentence_names_what_stands_and_not_what_has_ended():
     text = errors(0x10, NODE_LOST_ENDED, NODE_LOST, NODE_BUS_OFF).words()
     assert "1003h sub 3 is 12108140h, recovered from bus-off (8140h)" in text

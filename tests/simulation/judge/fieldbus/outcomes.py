@@ -190,11 +190,11 @@ def _errors(board: JudgedBoard, found: Found, refusals: list[Refusal], limits: s
         limits.add(KEPT)  # nothing tells a new master another cause than the loss of the last one
     elif lasting:
         named = (f"({code:04X}h)" for code in lasting if code in history)
-        words = ("1001h sub 0 is", "00h is needed", "1003h", *named, "Remove its cause")
+        words = ("1001h sub 0 is", "00h is needed", "1003h", *named, "Remove the cause")
         refusals.append(Refusal("board-error", words))
     elif 0x8130 in found.errors and found.keeps_loss:
         if set(history) - {0, 0x8130} or len(history) == MOST_ENTRIES:  # or one was there before the others
-            refusals.append(Refusal("board-error", ("1001h sub 0 is", "1003h", "Remove its cause")))
+            refusals.append(Refusal("board-error", ("1001h sub 0 is", "1003h", "Remove the cause")))
         else:
             limits.add(KEPT)
 
