@@ -93,4 +93,4 @@ def test_the_file_is_read_without_the_other_rooms() -> None:
         "print({name.split('.')[2] for name in sys.modules if name.startswith('hyperbit.controller.')})"
     )
     loaded = eval(subprocess.run([sys.executable, "-c", script], capture_output=True, check=True, text=True).stdout)
-    assert loaded == {"armfile", "host"}  # of host only the folder of the machine code
+    assert loaded == {"armfile", "decoding", "host"}  # of host only the folder of the machine code

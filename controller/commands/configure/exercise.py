@@ -97,10 +97,12 @@ def commanded(client: Client) -> list[int]:
 
 
 def move(client: Client, label: str, state: str) -> MeasuredTravel:
-    result = filled("result", client.run({"actuators": {label: state}}, key="jog"))
-    if "status" not in result or result["code"] != 0:
-        status = result.get("status", "refused")
-        raise CommandFailed(f"{label} to {state}: {status} (code {result['code']}): {result['message']}")
+    result = client.run({"actuators": {label: state}}, key="jog")
+    if "status" not in result:
+        raise CommandFailed(f"{label} to {state}: refused (code {result.get('code', -1)}): {result['message']}")
+    result = filled("result", result)
+    if result["code"] != 0:
+        raise CommandFailed(f"{label} to {state}: {result['status']} (code {result['code']}): {result['message']}")
     measured = [t["seconds"] for t in result["travels"] if (t["actuator"], t["state"]) == (label, state)]
     return MeasuredTravel(label, state, measured[0] if measured else None)
 

@@ -26,12 +26,15 @@ class Daemon:
         self.canceled = False
         self.result: Callable[[str, str], dict[str, Any]] = self.well
 
-    def request(self, key: str) -> dict[str, Any]:
-        self.canceled |= key == "cancel"
+    def describe(self) -> dict[str, Any]:
         names = [label.partition(".") for label in LABELS]
         boards = [{"module": int(m), "actuator": a, "input": 1, "input_contracted": None} for m, _, a in names]
         boards[0]["input_contracted"] = 2
-        return {"actuators": LABELS, "boards": boards, "accepted": True, "message": "canceled"}
+        return {"actuators": LABELS, "boards": boards}
+
+    def request(self, key: str) -> dict[str, Any]:
+        self.canceled |= key == "cancel"
+        return {"accepted": True, "message": "canceled"}
 
     def next_message(self, key: str) -> dict[str, Any]:
         return {"mode": self.mode, "reason": "why", "commanded": self.commanded}

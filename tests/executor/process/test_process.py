@@ -37,7 +37,7 @@ from hyperbit.controller.refusals.reasons import Reason
 from tests.keys import DEPLOY
 
 FORBIDDEN = {"numba", "llvmlite", "scipy", "zenoh", "matplotlib", "rich", "typer", "filterpy"}
-OWN = ("armfile", "executor", "flight_recorder", "host", "program", "refusals")
+OWN = ("armfile", "decoding", "executor", "flight_recorder", "host", "program", "refusals")
 ROOMS = {f"hyperbit.controller.{name}" for name in OWN}
 MOST_RESIDENT = 80 * 1024  # [kB]
 SIMULATION = {"canopen", "hyperbit.drivers.simulation"}  # a real arm's process loads neither
