@@ -49,11 +49,11 @@ class SupervisionFaults(FaultMaker):
         return Fault(self._fault("silence"), self._fault("unsilence"), expected, check)
 
     def board_is_silent_for_a_moment(self) -> Fault | None:
-        short = self._timing.heartbeat_timeout - self._period - 2 * AT_ONCE
+        # Neither side notices. The heard heartbeats before and after the silence are up to a period each away from it.
+        longest = max(self._period, self._timing.heartbeat)
+        short = self._timing.heartbeat_timeout - 2 * longest - 2 * AT_ONCE
         if short <= 0 or self._timing.heartbeat_timeout < 0.2:
             return None
-        # Neither side notices: the board hears the master again before its own time-out.
-        short = min(short, self._timing.heartbeat_timeout - self._timing.heartbeat - 2 * AT_ONCE)
 
         def cause() -> None:
             self._site.boards.fault("silence", self._name)
