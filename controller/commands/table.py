@@ -153,7 +153,7 @@ GROUPS = {
         ),
         "board": CommandEntry(
             "configure.board",
-            "Read the errors of one board, or reset it, while the arm's executor is stopped.",
+            "Read the errors of one board, by its executor if one runs; or reset it, while the executor is stopped.",
             "hyperbit board my-arm.yaml can0/5 errors",
         ),
         "exercise": CommandEntry(

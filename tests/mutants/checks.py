@@ -114,9 +114,10 @@ def simulate(mutant: Mutant | None, steps: int, first: int = 0) -> Result:
 
 def _plant(mutant: Mutant, folder: str) -> None:
     """Plants a defect in this process, and for processes that tests start."""
-    if mutant.module in sys.modules:  # of the warm process: all of the program is imported anew
-        for name in [name for name in sys.modules if name.split(".")[0] == "hyperbit"]:
-            del sys.modules[name]
+    if mutant.module in sys.modules:  # of the warm process: all of the program and of its worlds is imported anew
+        for name in [name for name in sys.modules if name.startswith(("hyperbit", "tests."))]:
+            if not name.startswith("tests.mutants"):
+                del sys.modules[name]
     if mutant.kernel:  # compiled code of other modules may contain the kernel, and its cache does not know
         import numba
 
