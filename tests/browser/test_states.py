@@ -133,7 +133,7 @@ def test_a_plan_tells_what_is_homed_first(trouble: Trouble, driver: object) -> N
     trouble.daemon.homing = ["1.left", "1.right"]
     try:
         shown = planned(trouble, driver)
-        shown.says("#goal .plan", "homing first\n2 more switches: 1.left, 1.right")
+        shown.says("#goal .plan", "homing first", "2 more switches: 1.left, 1.right")
     finally:
         trouble.daemon.homing = []
 

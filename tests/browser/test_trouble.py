@@ -10,16 +10,17 @@ pytestmark = pytest.mark.timeout(600)
 
 DIAGNOSTICS = {
     "buses": [
-        {"name": "can0", "state": "connected", "frames_per_second": 9, "tx_errors": 0, "rx_errors": 0, "load": 0.1}
+        {"name": "can0", "state": "connected", "load": 0.1, "worst_case": {"load": 0.3}, "dropped": 0}
+        | dict.fromkeys(("tx_frames", "rx_frames", "tx_errors", "rx_errors"), 0)
     ],
-    "boards": [{"bus": "can0", "node": 1, "state": "operational", "heartbeat_age": 0.1}],
+    "boards": [{"bus": "can0", "node": 1, "state": "operational", "emergency": None, "heartbeat_age": 0.1}],
     "loop": {"late_worst": 0.001},
     "counts": [7, *[0] * 47],
     "dropped": 0,
 }
 
 
-def test_one_malformed_message_harms_one_section(trouble: Trouble, driver: object) -> None:
+def test_a_malformed_message_is_left_out(trouble: Trouble, driver: object) -> None:
     shown = Shown(driver, trouble.url)
     shown.visit("/arms/planar16", OPERATOR)
     shown.one("#boards .health")
@@ -30,7 +31,7 @@ def test_one_malformed_message_harms_one_section(trouble: Trouble, driver: objec
 
     def malformed() -> bool:
         trouble.daemon.put("diagnostics", {"buses": 3, "counts": [1, 2]})
-        return says("#boards", "cannot be read") and says("#reason", "still shown") and says("#wear", "3 switches")
+        return says("#reason", "still shown") and "3 switches" not in shown.text("#wear")
 
     def repaired() -> bool:
         trouble.daemon.put("diagnostics", DIAGNOSTICS)
