@@ -17,8 +17,8 @@ import zenoh
 from numpy.typing import NDArray
 
 from hyperbit.controller.arm.arm import load
+from hyperbit.controller.decoding.decoding import decode
 from hyperbit.controller.network import session
-from hyperbit.controller.network.client import decoded
 from tests.benchmarks.daemon.chain.parts import Parts
 from tests.benchmarks.harness import CommandLine, percentiles, report
 from tests.endpoints import free_endpoint
@@ -57,7 +57,9 @@ def send(parts: Parts, bare: zenoh.Session, count: int) -> tuple[Times, Times]:
     tips = manipulator.tips(states)[:, :2, 3].tolist()
     results: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
     client, observer = parts.session(), parts.client()
-    hearing = client.declare_subscriber(f"hyperbit/{parts.name}/result", lambda sample: results.put(decoded(sample)))
+    hearing = client.declare_subscriber(
+        f"hyperbit/{parts.name}/result", lambda sample: results.put(decode(sample.payload.to_bytes()))
+    )
     puts, pings = np.zeros(count), np.zeros(count)
     time.sleep(1.0)  # the subscriptions are known everywhere
     for k, tip in enumerate(tips):

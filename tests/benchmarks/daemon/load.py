@@ -16,7 +16,7 @@ import numpy as np
 import zenoh
 from numpy.typing import NDArray
 
-from hyperbit.controller.network.client import decoded
+from hyperbit.controller.decoding.decoding import decode
 from hyperbit.controller.program import TICK
 from tests.benchmarks.daemon.chain.parts import Parts
 from tests.benchmarks.daemon.real_time import place
@@ -45,7 +45,7 @@ class Goals:
 
         def take(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
-                self.answers[goal] = decoded(reply.ok)["accepted"]
+                self.answers[goal] = decode(reply.ok.payload.to_bytes())["accepted"]
 
         self._session.get(self._key, take, payload=payload, timeout=10.0)
 
@@ -59,7 +59,7 @@ class Goals:
         return len(self.answers) == self.sent and self.accepted <= self.results.keys()
 
     def _hear(self, sample: zenoh.Sample) -> None:
-        result = decoded(sample)
+        result = decode(sample.payload.to_bytes())
         self.results[str(result["id"])] += 1
         self.statuses[result["status"]] += 1
 

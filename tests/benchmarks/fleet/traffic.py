@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 
 import zenoh
 
-from hyperbit.controller.network.client import Client, Unanswered, decoded
+from hyperbit.controller.decoding.decoding import decode
+from hyperbit.controller.network.client import Client, Unanswered
 from tests.benchmarks.fleet.plant import PATIENCE, Plant
 
 EVERY = 1.0  # [s] between the goals of an arm
@@ -71,7 +72,7 @@ class Traffic:
             one.close()  # type: ignore[no-untyped-call]
 
     def _hear(self, sample: zenoh.Sample) -> None:
-        message, now = decoded(sample), time.monotonic()
+        message, now = decode(sample.payload.to_bytes()), time.monotonic()
         with self._changed:
             if not message.get("repeated"):
                 self.results[message["id"]] += 1
