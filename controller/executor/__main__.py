@@ -85,9 +85,9 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         buses = boards or CanBuses(arm.wiring.buses)
         if isinstance(buses, CanBuses):
             buses.listen(arm.timing.heartbeat)
-        log.info("the boards of %s are %s", arm.name, "simulated in this process" if boards else "on CAN buses")
         loop = EventLoop(core, buses, server, notifier, recorder=recorder)
         end_on_signals(loop.quit)
+        log.info("the boards of %s are %s", arm.name, "simulated in this process" if boards else "on CAN buses")
         loop.run()
         ignore(ENDING)  # a second signal, such as that of a parent's death, must not interrupt the end
 
