@@ -70,7 +70,7 @@ class BootFaults:
         board = world.boards.simulated.board(name)
         objects, variant = board.objects, board.variant
         kept = objects.variant, objects.described, dict(objects.refused)
-        world.judge.disturb()
+        world.disturb()
         found: list[Values] = []
         expected: list[Refusal] = []
 

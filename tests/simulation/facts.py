@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.judge.account import Commit
 
+if TYPE_CHECKING:
+    from tests.simulation.statements.account import Sync
+
 
 class Switch(NamedTuple):
-    """Changed outputs. `cause` is "SYNC", another frame, "time", "fault" or "foreign START"."""
+    """Changed outputs. `cause` is "SYNC", another frame, "time", "fault" or "foreign START"; `sync` that SYNC."""
 
     mask: int
     after: int
     cause: str
     bus: str
     commit: Commit | None
+    sync: Sync | None
 
 
 class Energised(NamedTuple):
@@ -31,6 +35,7 @@ class Energised(NamedTuple):
     cause: str
     bus: str
     commit: Commit | None
+    sync: Sync | None
 
 
 @dataclass

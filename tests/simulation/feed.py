@@ -113,7 +113,7 @@ class Feed(Witness):
 
 
 class Witnesses(Witness):
-    """Several witnesses; one of them tells the commit of a frame."""
+    """Several witnesses; a frame belongs to what each of them tells of it."""
 
     def __init__(self, *witnesses: Witness) -> None:
         self._witnesses = list(witnesses)
@@ -138,8 +138,7 @@ class Witnesses(Witness):
             witness.told(event)
 
     def sends(self, bus: str, frame: Frame) -> object:
-        told = [witness.sends(bus, frame) for witness in self._witnesses]
-        return next((commit for commit in told if commit is not None), None)
+        return tuple(witness.sends(bus, frame) for witness in self._witnesses)
 
     def says(self, message: Up) -> None:
         for witness in self._witnesses:

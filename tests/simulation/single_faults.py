@@ -84,14 +84,14 @@ class SingleFaults:
         if name in others:
             others[name]()
         else:
-            world.judge.disturb()
+            world.disturb()
             world.trouble.made[f"only: {name}"] += 1
             self._judge(name, faults[name], planner)
             if any(not world.judge.arm.sensed >> k & 1 for k in world.kinds.pulse):
                 world.pass_time(OWED)
         planner.patient = False
         if not world.record.suspect and not world.judge.account.clear:
-            world.judge.quiet_from(world.agenda.now)
+            world.be_undisturbed()
 
     def _turn(self, name: str) -> tuple[int, float]:
         """Returns how often a kind came in this world, and its place among the kinds that came as often."""

@@ -33,7 +33,7 @@ class Volleys:
         free = [k for k in range(len(world.arm.actuators)) if not world.judge.account.locked >> k & 1]
         if not free or world.judge.account.homing:
             return
-        world.judge.disturb()
+        world.disturb()
         names = list(self._of(planner, free[0]))
         for name in random.sample(names, min(ROUNDS, len(names))):
             fit = [k for k in free if self._of(planner, k)[name] is not None]

@@ -31,6 +31,8 @@ from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.record import Record
 from tests.simulation.single_faults import SingleFaults
+from tests.simulation.statements.account import Account
+from tests.simulation.statements.executor import every_statement
 from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.planned_arms import draw_planned_arm
 
@@ -79,9 +81,10 @@ class World:
             for bus in arm.wiring.buses
         }
         self.judge = judge = Judge(arm)
-        witness = Witnesses(
-            record, Feed(judge, agenda, lambda counts: record.raised(counts, self.executor.journal.counts))
-        )
+        self.account = Account(self)
+        self.account.judge(every_statement(self.account))
+        feed = Feed(judge, agenda, lambda counts: record.raised(counts, self.executor.journal.counts))
+        witness = Witnesses(record, self.account, feed)
         self.habits = habits = Habits(drawn("habits"))
         self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, witness, habits)
         judge.clients.playable = habits.simulation
@@ -104,7 +107,7 @@ class World:
             witness.add(InterfaceFeed(self.daemon.judge, agenda))
         cut_off = self.planner.cut_off if isinstance(self.planner, ScriptedPlanner) else self.planner.network.cut_off
         self.executor.connect(self.planner.connection.deliver, cut_off)
-        self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board, judge)
+        self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board, judge, self.account)
         judge.looks_at({name: self._look(name) for name in self.boards.simulated.names})
         judge.endings.goes_off = {name for name, variant in variants.items() if variant.error_state == "off"}
         levels = arm.wiring.loss_levels[len(arm.actuators) :]
@@ -129,7 +132,7 @@ class World:
             self._let_strangers_stop(True)
             self.pass_time(self._random.uniform(1.0, 4.0 if self.daemon is not None else 2.5))
             if self.daemon is not None or self._random.random() < TROUBLED:
-                self.judge.disturb()
+                self.disturb()
                 self.trouble.begin()
                 self.pass_time(self._random.uniform(2.0, 15.0 if self.daemon is not None else 6.0))
                 self.calm()
@@ -149,6 +152,7 @@ class World:
         self.record.doubt(self.intended)
         for holds in INVARIANTS:
             holds(self)
+        self.account.steps()
         self.judge.pulses.watch(self.agenda.now, self.reaches)
         if self.daemon is not None:
             self.daemon.judge.at(self.agenda.now)
@@ -175,7 +179,15 @@ class World:
             objects = self.boards.simulated.board(name).objects
             self.judge.objects.judge(name, objects.has, objects.number)
         if not self.record.suspect:
-            self.judge.quiet_from(self.agenda.now)
+            self.be_undisturbed()
+
+    def disturb(self) -> None:
+        self.judge.disturb()
+        self.account.disturbed()
+
+    def be_undisturbed(self) -> None:
+        self.judge.quiet_from(self.agenda.now)
+        self.account.rests()
 
     @property
     def ready_within(self) -> float:
@@ -228,6 +240,7 @@ class World:
         self.boards.hear(bus, sent, lost)
 
     def _from_board(self, bus: str, frame: Frame) -> None:
+        self.account.answers(bus, frame)
         self.buses[bus].from_board(frame)
 
     def mend(self) -> None:
@@ -263,6 +276,7 @@ class World:
     def counts(self) -> Counter[str]:
         counts = self.record.counts + self.trouble.made
         counts += Counter({f"sent {word}": count for word, count in self.planner.connection.sent.items()})
+        counts += self.account.statements.counts()
         return counts if self.daemon is None else counts + self.daemon.counts
 
     def story(self) -> str:

@@ -16,6 +16,7 @@ from tests.simulation.judge.account import Commit
 from tests.simulation.judge.arm import merged
 from tests.simulation.judge.judge import Judge
 from tests.simulation.record import Record
+from tests.simulation.statements.account import Account, Sync
 
 FOREIGN_START = "foreign START"
 LIES = ("lose_sensor", "cut_wires", "short_wires")  # faults of end-stops
@@ -40,6 +41,7 @@ class BoardSide(AttachedBoards):
         record: Record,
         send: Callable[[str, Frame], None],
         judge: Judge,
+        account: Account,
     ) -> None:
         self.names: dict[str, int] = {}
         self._masks = dict.fromkeys((bus.name for bus in wiring.buses), 0)
@@ -49,7 +51,7 @@ class BoardSide(AttachedBoards):
             self._masks[channel.bus] |= 1 << k
         self.silent = False
         self.loses: tuple[str, int] | None = None
-        self._record, self._judge = record, judge
+        self._record, self._judge, self._account = record, judge, account
         self._read = True  # whether end-stops may have changed
         self._paired = sum(1 << k for k in wiring.paired)
         self._drives, self._coils, self._on = -1, 0, 0  # unknown
@@ -63,6 +65,7 @@ class BoardSide(AttachedBoards):
             actuator.observers.append(self._end_stop_changed)
         judge.at(agenda.now)
         judge.drives(self._drives, 0, "start")
+        account.drives(self._drives)
         self._read_ends()
 
     def _end_stop_changed(self) -> None:
@@ -76,6 +79,7 @@ class BoardSide(AttachedBoards):
             extended |= (has and actuator.reads(1) ^ ("input" in inverted)) << k
             contracted |= (has_contracted and actuator.reads(0) ^ ("input_contracted" in inverted)) << k
         self._judge.reads(extended, contracted)
+        self._account.reads(extended, contracted)
         self._read = False
 
     def drives(self) -> int:
@@ -122,6 +126,7 @@ class BoardSide(AttachedBoards):
         deaf = self._deaf_to(frame)
         missing = sum(mask for name, mask in boards.items() if lost or name == deaf or not self.takes_part(name))
         self._record.arrives(bus, frame, missing)
+        self._account.leaves(bus, frame, missing)
         if lost:
             return
         if deaf is not None:
@@ -151,6 +156,7 @@ class BoardSide(AttachedBoards):
             self._record.lying |= 1 << self.simulated.labels.index(name)
         elif verb == "restore_sensor":
             self._record.lying &= ~(1 << self.simulated.labels.index(name))
+        self._account.fault(verb, name)
         super().fault(verb, name, *numbers)
         self._read = True  # of an end-stop that reads otherwise since the fault
         self.see("fault")
@@ -186,11 +192,14 @@ class BoardSide(AttachedBoards):
         """Records the changes of the outputs since the last call."""
         if self._drives < 0:
             return
-        commit = belongs_to if isinstance(belongs_to, Commit) else None
+        every = belongs_to if isinstance(belongs_to, tuple) else ()
+        commit = next((one for one in every if isinstance(one, Commit)), None)
+        sync = next((one for one in every if isinstance(one, Sync)), None)
         coils = self.simulated.coils()
         after = self._driven(coils, cause)
         on = sum(1 << k for k, pair in enumerate(coils) if self._paired >> k & 1 and any(pair))
-        came, self._coils = on & ~self._coils | on & (after ^ self._drives), on
+        was_on, came = self._coils, on & ~self._coils | on & (after ^ self._drives)
+        self._coils = on
         changed, self._drives = after ^ self._drives, after
         if changed or self._read or on != self._on:
             self._judge.at(self._agenda.now)
@@ -202,8 +211,12 @@ class BoardSide(AttachedBoards):
                 self._read_ends()
         for bus, mask in self._masks.items():
             if changed & mask:
-                self._record.switch(Switch(changed & mask, after, cause, bus, commit))
-            self._record.energise(Energised(came & mask, on & mask, came & mask & ~changed, cause, bus, commit))
+                self._record.switch(Switch(changed & mask, after, cause, bus, commit, sync))
+                self._account.switches(Switch(changed & mask, after, cause, bus, commit, sync))
+            coils_of_bus = Energised(came & mask, on & mask, came & mask & ~changed, cause, bus, commit, sync)
+            self._record.energise(coils_of_bus)
+            if came & mask or (on ^ was_on) & mask:
+                self._account.energises(coils_of_bus)
 
 
 def _words(frame: Frame) -> str:

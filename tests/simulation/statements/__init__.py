@@ -1,0 +1,1 @@
+"""Statements on what must hold in the world, whatever the daemon decides."""

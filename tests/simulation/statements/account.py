@@ -1,0 +1,353 @@
+"""The account of a world: pins, frames, messages and faults with their times. All statements are judged over it."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from hyperbit.controller.executor.core.events import ClientGone, ClientId, Event, FromClient
+from hyperbit.controller.host.process import Quit
+from hyperbit.controller.program import (
+    Accepted,
+    Begun,
+    Cancel,
+    Ended,
+    Hello,
+    Program,
+    Replaced,
+    Replacement,
+    Setpoint,
+    Snapshot,
+    Stop,
+    Up,
+    Welcome,
+    unpack,
+)
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from tests.simulation.buses.bus_model import RPDOS
+from tests.simulation.executor.process import Witness
+from tests.simulation.facts import Energised, Switch
+from tests.simulation.judge.arm import JudgedArm, bits_of, merged
+from tests.simulation.statements.statement import Statement, Statements
+
+if TYPE_CHECKING:
+    from tests.simulation.world import World
+
+EPSILON = 1e-6  # [s], rounding errors of sums of times
+REMEMBERED = 100  # pins and readings
+
+
+class Pins(NamedTuple):
+    """What boards drive and end-stops read from a time on, as masks of actuators.
+
+    Attributes:
+        at: begin [s].
+        states: ends to which the actuators are driven; with two coils, by the coil that was on last.
+        on: one of two coils is on.
+        extended: the end-stop at the extended end reads 1.
+        contracted: the end-stop at the contracted end reads 1.
+    """
+
+    at: float
+    states: int
+    on: int
+    extended: int
+    contracted: int
+
+
+class Motion:
+    """A program that was accepted, or a set-point: what may move the arm, until it is barred.
+
+    Attributes:
+        message: as it arrived.
+        order: of the arrival at the executor.
+        begin: zero of its stages' times [s].
+        stages: states and earliest times of all stages so far.
+        taken: the last stage that was told as begun.
+        barred_at: when a stop, a cancel, a fault or a loss took its permission [s]; infinity before.
+        ended: its result; None before.
+    """
+
+    def __init__(self, message: Program | Setpoint, order: int, begin: float) -> None:
+        self.message, self.order, self.begin = message, order, begin
+        self.start = unpack(message.start)
+        self.stages: list[tuple[int, float]] = []
+        self.append(0, message.stages)
+        self.final = not isinstance(message, Program) or message.final
+        self.taken, self.barred_at = -1, math.inf
+        self.ended: Ended | None = None
+
+    def append(self, first: int, stages: Iterable[Any]) -> None:
+        """Replaces the stages from `first` on."""
+        self.stages[first:] = [
+            (unpack(stage), -math.inf) if isinstance(stage, bytes) else (unpack(stage.states), stage.at)
+            for stage in stages
+        ]
+
+    def due(self, now: float) -> list[int]:
+        """Returns the states of the stages that may begin now."""
+        return [
+            states for k, (states, at) in enumerate(self.stages) if k > self.taken and self.begin + at <= now + EPSILON
+        ]
+
+
+class Sync(NamedTuple):
+    """A SYNC that was handed out.
+
+    Attributes:
+        at: time [s].
+        commanded_at: time of the RPDOs before it [s].
+        asked: motions that asked for its RPDOs then, and are not barred now; with the states of their due stages.
+    """
+
+    at: float
+    commanded_at: float
+    asked: list[tuple[Motion, list[int]]]
+
+
+class Account(Witness):
+    """What happened in a world. A fact has a kind, and the statements see it by the method of this name:
+
+    started(), killed(): a process of the executor.
+    told(event): the executor takes an event of bus, client or loop.
+    says(message), tells(client, message): it sends a message, once; to each client.
+    sends(bus, frame): it hands out a frame. leaves(bus, frame, missing): the frame is on the bus; the boards of a mask
+    of actuators miss it. answers(bus, frame): a board sends a frame.
+    switches(switch), energises(coils), reads(): pins and end-stops change.
+    fault(verb, name): something breaks at the boards, or is mended.
+    logs(level, text), notifies(text).
+    steps(): a step of the world is over. rests(): all trouble has ended, and the arm is at rest.
+
+    Attributes:
+        arm: what its file says.
+        pins: the present ones, after all earlier ones that are remembered.
+        switched_at: when pins of each actuator changed last [s].
+        clear_since: time since when nothing disturbs the world; infinity while something does [s].
+        instance: number of the executor's process.
+        roles: roles of the welcomed clients.
+        planner: the welcomed planner; None without one.
+        shown: the latest snapshot of this process.
+        epoch: the latest that was told.
+        booted: a boot of this process has ended: it knows what the boards drive.
+        order: number of the events that executors took so far.
+        quitting: the process was asked to end in order.
+        programs: accepted programs of this process by number.
+        running: the last of them, until its result.
+        followed: set-points that may be followed.
+        missed: mask of the actuators whose boards have missed a frame since their boot.
+        fallen: mask of the actuators whose outputs changed without a SYNC since the boot.
+    """
+
+    def __init__(self, world: World) -> None:
+        self.world, self.arm = world, JudgedArm(world.arm)
+        self.statements = Statements(())
+        self.pins = deque([Pins(-math.inf, 0, 0, 0, 0)], maxlen=REMEMBERED)
+        self.switched_at = [-math.inf] * self.arm.count
+        self.clear_since = math.inf
+        self.instance = self.missed = self.fallen = self.order = 0
+        self._begin()
+
+    def judge(self, every: Iterable[Statement]) -> None:
+        self.statements = Statements(every)
+
+    def see(self, kind: str, *facts: Any) -> None:
+        """Shows a fact of a kind to the statements that look at it."""
+        self.statements.see(kind, facts)
+
+    @property
+    def now(self) -> float:
+        return self.world.agenda.now
+
+    @property
+    def clear(self) -> bool:
+        """Whether nothing disturbs the world, and nothing has since the arm was at rest."""
+        return self.now >= self.clear_since
+
+    @property
+    def mode(self) -> str:
+        return "starting" if self.shown is None else self.shown.mode
+
+    def since(self, at: float) -> list[Pins]:
+        """Returns all pins that held at a time or later, the newest first."""
+        found: list[Pins] = []
+        for pins in reversed(self.pins):
+            found.append(pins)
+            if pins.at <= at:
+                break
+        return found
+
+    def _begin(self) -> None:
+        """Forgets the last process."""
+        self.roles: dict[ClientId, str] = {}
+        self._hellos: dict[ClientId, str] = {}
+        self.planner: ClientId | None = None
+        self.shown: Snapshot | None = None
+        self.epoch, self.quitting, self.booted, self.message = 0, False, False, None
+        self.programs: dict[int, Motion] = {}
+        self.running: Motion | None = None
+        self.followed: list[Motion] = []
+        self._commanded: dict[str, Sync] = {}  # RPDOs of each bus that were handed out last
+
+    # --- the executor's process
+
+    def started(self) -> None:
+        self.see("started")
+        self.instance += 1
+        self._begin()
+
+    def killed(self) -> None:
+        self.see("killed")
+        self._begin()
+
+    def told(self, event: Event) -> None:
+        self.order += 1
+        self.see("told", event)
+        match event:
+            case FromClient(client, Hello() as hello):
+                self._hellos[client] = hello.role
+            case FromClient(client, message):
+                self.message: Any = message
+                if client in self.roles:
+                    self._take(client, message)
+            case ClientGone(client):
+                self.roles.pop(client, None)
+                if client == self.planner:
+                    self.planner = None
+                    self.bar()
+            case Quit():
+                self.quitting = True
+                self.bar()
+            case _:
+                pass
+
+    def _take(self, client: ClientId, message: Any) -> None:
+        match message:
+            case Stop():
+                self.bar()
+            case Cancel(program=None) if client == self.planner:
+                self.bar()
+            case Cancel(program=number) if client == self.planner and self.running is not None:
+                if self.running.message.program == number:
+                    self.running.barred_at = self.now
+            case Setpoint() if client == self.planner and message.epoch >= self.epoch:
+                self.followed = [one for one in self.followed if one.message.stream == message.stream]
+                self.followed.append(Motion(message, self.order, self.now))
+            case _:
+                pass
+
+    def bar(self) -> None:
+        """Takes the permission to move from all that was asked for so far."""
+        for motion in [*self.followed, *([self.running] if self.running else [])]:
+            motion.barred_at = min(motion.barred_at, self.now)
+        self.followed = []
+
+    def says(self, message: Up) -> None:
+        self.see("says", message)
+        match message:
+            case Accepted() if isinstance(self.message, Program):
+                self.running = Motion(self.message, self.order, message.begin)
+                self.programs[message.program] = self.running
+                self.followed = []
+            case Replaced(accepted=True) if self.running is not None and isinstance(self.message, Replacement):
+                self.running.append(self.message.first, self.message.stages)
+                self.running.final = self.message.final
+            case Begun() if message.program in self.programs:
+                self.programs[message.program].taken = message.stage
+            case Ended() if message.program in self.programs:
+                motion = self.programs[message.program]
+                motion.ended = message
+                if motion is self.running:
+                    self.running = None
+            case Snapshot():
+                if message.epoch > self.epoch or message.mode not in ("ready", "executing"):
+                    self.bar()
+                if self.mode == "starting" and message.mode == "ready":  # the outputs were read back
+                    self.missed = self.fallen = 0
+                    self.booted = True
+                self.shown, self.epoch = message, message.epoch
+            case _:
+                pass
+
+    def tells(self, client: ClientId, message: Up) -> None:
+        self.see("tells", client, message)
+        if isinstance(message, Welcome):
+            self.roles[client] = self._hellos[client]
+            if self.roles[client] == "planner":
+                self.planner = client
+
+    def logs(self, level: int, text: str) -> None:
+        self.see("logs", level, text)
+
+    def notifies(self, text: str) -> None:
+        self.see("notifies", text)
+
+    # --- buses and boards
+
+    def sends(self, bus: str, frame: Frame) -> object:
+        self.see("sends", bus, frame)
+        if frame.id & 0x780 in RPDOS:
+            motions = [*self.followed, *([self.running] if self.running else [])]
+            asked = [(motion, motion.due(self.now)) for motion in motions]
+            self._commanded[bus] = Sync(self.now, self.now, asked)
+        elif frame.id == cia301.SYNC and (commanded := self._commanded.get(bus)) is not None:
+            asked = [(motion, stages) for motion, stages in commanded.asked if motion.barred_at == math.inf]
+            return commanded._replace(at=self.now, asked=asked)
+        return None
+
+    def leaves(self, bus: str, frame: Frame, missing: int) -> None:
+        """A frame of the executor is on the bus; the boards of a mask of actuators miss it."""
+        self.see("leaves", bus, frame, missing)
+        if missing and (frame.id == cia301.SYNC or frame.id & 0x780 in RPDOS):
+            self.missed |= missing
+
+    def answers(self, bus: str, frame: Frame) -> None:
+        """A board sends a frame."""
+        self.see("answers", bus, frame)
+
+    def drives(self, states: int) -> None:
+        """Takes the ends to which the actuators are driven at the begin of the world."""
+        self.pins.append(self.pins[-1]._replace(states=states))
+
+    def switches(self, switch: Switch) -> None:
+        """Actuators of one bus are driven to other ends."""
+        self.see("switches", switch)
+        for k in bits_of(switch.mask):
+            self.switched_at[k] = self.now
+        self.fallen |= switch.mask * (switch.cause != "SYNC")
+        last = self.pins[-1]
+        self.pins.append(last._replace(at=self.now, states=merged(switch.mask, switch.after, last.states)))
+
+    def energises(self, coils: Energised) -> None:
+        """Coils of one bus came on or went off."""
+        self.see("energises", coils)
+        for k in bits_of(coils.came):
+            self.switched_at[k] = self.now
+        last = self.pins[-1]
+        of_bus = sum(1 << k for k, bus in enumerate(self.arm.bus_of) if bus == coils.bus)
+        self.pins.append(last._replace(at=self.now, on=merged(of_bus, coils.on, last.on)))
+
+    def reads(self, extended: int, contracted: int) -> None:
+        """The end-stops of these masks read 1."""
+        self.see("reads", extended, contracted)
+        self.pins.append(self.pins[-1]._replace(at=self.now, extended=extended, contracted=contracted))
+
+    def fault(self, verb: str, name: str) -> None:
+        """Something breaks at the boards, or is mended."""
+        self.see("fault", verb, name)
+
+    # --- the world
+
+    def steps(self) -> None:
+        self.see("steps")
+
+    def rests(self) -> None:
+        """All trouble has ended, and the arm is at rest: from now on nothing disturbs the world."""
+        self.see("rests")
+        self.clear_since = self.now
+
+    def disturbed(self) -> None:
+        """Something may disturb the world from now on."""
+        self.clear_since = math.inf

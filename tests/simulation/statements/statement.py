@@ -1,0 +1,66 @@
+"""The form of a statement: one sentence that must hold in the world, judged over the account."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any
+
+from tests.simulation.judge.verdict import Violation
+
+if TYPE_CHECKING:
+    from tests.simulation.statements.account import Account
+
+
+class Statement:
+    """One sentence that must hold in the world. The docstring of a subclass is the sentence.
+
+    A subclass has a method for each kind of fact that it looks at; the method's name is the kind, see `Account`. It
+    sees a fact before the account takes it: the account has what was before.
+
+    Attributes:
+        number: of the statement in the table of README.md.
+        least: how often a long run must have armed it.
+        armed: how often it could have failed.
+        reached: how many facts it has seen.
+    """
+
+    number = 0
+    least = 1
+
+    def __init__(self, account: Account) -> None:
+        self.account = account
+        self.armed = self.reached = 0
+
+    def require(self, holds: object, text: Callable[[], str] | str) -> None:
+        """Arms the statement. Raises `Violation` with time and facts if it does not hold."""
+        self.armed += 1
+        if not holds:
+            facts = text if isinstance(text, str) else text()
+            raise Violation(f"{self.number} {type(self).__name__}, {self.account.now - 1000:.6f} s: {facts}")
+
+
+class Statements:
+    """All statements of a world; hands each fact to those that look at its kind."""
+
+    def __init__(self, every: Iterable[Statement]) -> None:
+        self.every = list(every)
+        self._takers: dict[str, list[tuple[Statement, Callable[..., None]]]] = {}
+
+    def see(self, kind: str, facts: tuple[Any, ...]) -> None:
+        takers = self._takers.get(kind)
+        if takers is None:
+            found = ((one, getattr(one, kind, None)) for one in self.every)
+            takers = self._takers[kind] = [(one, method) for one, method in found if method is not None]
+        for one, method in takers:
+            one.reached += 1
+            method(*facts)
+
+    def counts(self) -> Counter[str]:
+        """Returns how often each statement was reached and armed."""
+        counts: Counter[str] = Counter()
+        for one in self.every:
+            name = f"statement {one.number:2} {type(one).__name__}"
+            counts[f"{name}: armed"] += one.armed
+            counts[f"{name}: reached"] += one.reached
+        return counts
