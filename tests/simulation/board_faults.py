@@ -114,14 +114,14 @@ class BoardFaults:
     def _of_switch(self) -> dict[str, Made]:
         world, random, planner = self._world, self._random, self._world.planner
         assert isinstance(planner, ScriptedPlanner)
-        account, wiring = world.judge.account, world.arm.wiring
+        account, wiring = world.account, world.arm.wiring
         free = [k for k in range(len(wiring.channels)) if not account.locked >> k & 1]
         if not free or account.homing:
             return {}
         k = random.choice(free)
         channel = wiring.channels[k]
         name = f"{channel.bus}/{channel.node}"
-        objects, place = world.boards.simulated.board(name).objects, (world.judge.objects.base(name), 0)
+        objects, place = world.boards.simulated.board(name).objects, (world.objects.base(name), 0)
         place = place[0], channel.output // 8 + 1
 
         def unread() -> None:
@@ -143,7 +143,7 @@ class BoardFaults:
         """Returns an overrun after lost TPDOs: all inputs are read at once."""
         world, boards = self._world, self._world.boards
         k = self._random.randrange(len(world.arm.actuators))
-        if not world.judge.arm.sensed >> k & 1:
+        if not world.account.arm.sensed >> k & 1:
             return {}
         label, at = world.arm.actuators[k], boards.positions() >> k & 1
         bus = world.buses[world.arm.wiring.channels[k].bus]

@@ -104,14 +104,14 @@ class BootFaults:
         planner.patient = not expected  # type: ignore[union-attr]
         world.wait(world.settled, f"ready after {name} was changed", world.ready_within)
         if found and not expected:
-            world.judge.objects.judge_kept(name, found[-1], self._values(board))
+            world.objects.judge_kept(name, found[-1], self._values(board))
         self._judge_objects()
 
     def _judge_objects(self) -> None:
         world = self._world
         for name in world.boards.simulated.names:
             objects = world.boards.simulated.board(name).objects
-            world.judge.objects.judge(name, objects.has, objects.number)
+            world.objects.judge(name, objects.has, objects.number)
 
     def _configure_otherwise(self, board: Any) -> None:
         """Gives some objects wrong values, which a boot corrects."""
@@ -156,9 +156,9 @@ class BootFaults:
 
     def _spoil(self, name: str, board: Any) -> Refusal:
         objects, random, world = board.objects, self._random, self._world
-        (outputs, inputs) = world.judge.objects.used(name)
+        (outputs, inputs) = world.objects.used(name)
         sub = next(k + 1 for k in range(64) if (outputs or inputs) >> 8 * k & 0xFF)
-        base = world.judge.objects.base(name) if outputs else 0x6000
+        base = world.objects.base(name) if outputs else 0x6000
         makers = [self._error, self._unreadable, self._profile, self._unsupervised]
         if outputs and base == OUTPUTS and objects.has(0x6202) and not self._has_pairs(name):
             makers += [self._inverted] * 2
@@ -238,11 +238,11 @@ class BootFaults:
         require(not others, f"only {name} has a cause for a fault, told is {others}")
         world.pass_time(SETTLED)
         before, after = found, self._values(board)
-        base = world.judge.objects.base(name)
+        base = world.objects.base(name)
         unread = expected.words[0].startswith(f"{base:04X}h")
         changed = {key: (value, after[key]) for key, value in before.items() if after[key] != value and key[0] != base}
         # Outputs that cannot be read may not be started: START would apply what nobody knows.
-        state = world.judge.traffic.ordered.get(name)
+        state = world.account.ordered.get(name)
         left = board.state is state or state is None or (board.state is State.PRE_OPERATIONAL and unread)
         require(left, f"{name} was found in {state}, refused, and is left in {board.state}")
         told_ = ", ".join(f"{i:04X}h sub {s}: {a:X}h, {b:X}h now" for (i, s), (a, b) in changed.items())

@@ -77,7 +77,7 @@ def check_daemon(world: World, daemon: Daemon) -> None:
     storage, account = daemon.storage, daemon.judge.account
     world.wait(lambda: not unanswered(account), "without open requests", SEARCHED_WITHIN)
     world.wait(lambda: not storage.owed(), "without goals that the ledger owes", OWED_WITHIN)
-    world.wait(lambda: not world.judge.programs.unacknowledged, "without results that wait", OWED_WITHIN)
+    world.wait(lambda: not world.account.owed, "without results that wait", OWED_WITHIN)
     if daemon.process is not None:
         check_containers(daemon.process)
     counts = [max(known, told) for known, told in zip(storage.counts, daemon.counted, strict=True)]

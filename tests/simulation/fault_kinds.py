@@ -82,7 +82,7 @@ class FaultKinds:
         def happen() -> None:
             for count in range(OVERRUNS):
                 world.agenda.after(OVERRUN_EVERY * count, lambda: world.executor.post(BusOverrun(bus.name)))
-            if not world.judge.account.homing and not world.judge.account.locked:
+            if not world.account.homing and not world.account.locked:
                 planner.ask_to_switch(0)
 
         return happen
@@ -90,7 +90,7 @@ class FaultKinds:
     def _of_board(self) -> dict[str, Fault]:
         timing, boards = self._world.arm.timing, self._world.boards
         names = list(boards.simulated.names)
-        paired = [name for name in names if boards.names.get(name, 0) & self._world.judge.arm.paired]
+        paired = [name for name in names if boards.names.get(name, 0) & self._world.account.arm.paired]
         board = self._random.choice(paired or names if self._random.random() < 0.5 else names)
         silent = 1.2 * timing.heartbeat_timeout + timing.heartbeat + AT_ONCE
         lost = Expected(codes("board-lost"), (board,), silent, also=codes("interlock"), cleared=True)
@@ -161,12 +161,12 @@ class FaultKinds:
             made["door is opened"] = Fault(
                 lambda: boards.door("door", is_open=True), lambda: boards.door("door", is_open=False), opened
             )
-        if world.judge.arm.sensed >> k & 1:
+        if world.account.arm.sensed >> k & 1:
             moved = Expected(codes("unexpected-motion"), (label,), world.kinds.travel[k][1 - at] + ASKED)
             made["actuator moves by itself"] = Fault(
                 lambda: boards.fault("stick", label, 1 - at), lambda: boards.fault("release", label), moved
             )
-        if world.judge.arm.extended_ends & world.judge.arm.contracted_ends & 1 << k:
+        if world.account.arm.extended_ends & world.account.arm.contracted_ends & 1 << k:
             channel = world.arm.wiring.channels[k]
             if not channel.inverted & {"input", "input_contracted"}:
                 both = Expected(codes("end-stops"), (label,), ASKED)
@@ -179,8 +179,8 @@ class FaultKinds:
         """Returns faults of one actuator that is switched."""
         world, boards, planner = self._world, self._world.boards, self._world.planner
         assert isinstance(planner, ScriptedPlanner)
-        free = [k for k in range(len(world.arm.actuators)) if not world.judge.account.locked >> k & 1]
-        if not free or world.judge.account.homing:
+        free = [k for k in range(len(world.arm.actuators)) if not world.account.locked >> k & 1]
+        if not free or world.account.homing:
             return {}
         k = self._random.choice(free)
         channel, at = world.arm.wiring.channels[k], boards.positions() >> k & 1
@@ -213,7 +213,7 @@ class FaultKinds:
             planner.ask_to_switch(k, times=TIMES, pause=pause)
 
         made = {}
-        if world.judge.arm.sensed >> k & 1:
+        if world.account.arm.sensed >> k & 1:
             cleared, also = world.arm.continue_on_stuck, codes("unexpected-motion")
             stuck = Expected(codes("stuck"), (label,), late, also=also, cleared=cleared, locks=(label, cleared))
             made["actuator is stuck"] = Fault(stick, lambda: boards.fault("release", label), stuck)
@@ -221,19 +221,19 @@ class FaultKinds:
             if not cleared:
                 made["actuator misses commands"] = Fault(miss, lambda: boards.fault("release", label), missed)
             others = [j for j in free if j != k]
-            loose = world.boards.positions() >> k & 1 and world.judge.arm.extended_ends >> k & 1 and others
+            loose = world.boards.positions() >> k & 1 and world.account.arm.extended_ends >> k & 1 and others
             tells = channel.input_contracted is None and "input" not in channel.inverted
-            if loose and tells and not world.judge.account.locked:
+            if loose and tells and not world.account.locked:
                 way = self._random.choice(list(WAYS))
                 cause = partial(self._loosen, label, bus, partial(planner.ask_strictly, others[0], way))
                 asks = NO_FAULT._replace(asks=True)
                 made[f"wires are loose, the planner {WAYS[way]}"] = Fault(cause, nothing, asks)
             made["TPDO is lost"] = Fault(lose_tpdo, nothing, NO_FAULT)
             made["actuator arrives within its margin"] = Fault(dawdle, lambda: boards.fault("slow", label, 1), NO_FAULT)
-        if channel.pulse is None and not world.judge.proofs.forgone >> k & 1:
+        if channel.pulse is None and not world.account.arm.forgone >> k & 1:
             also = codes("stuck", "not-switched", "unexpected-motion")
             at_once = READ_AT_ONCE + world.arm.rest
-            within = READ_BACK + late if world.judge.arm.sensed >> k & 1 else at_once
+            within = READ_BACK + late if world.account.arm.sensed >> k & 1 else at_once
             unheard = Expected(also, (label, board), within, also=also)
             made["a board loses a SYNC"] = Fault(lose_sync, nothing, unheard)
         return made

@@ -30,8 +30,8 @@ class PulseFaults:
         """Returns faults of frames that begin or end a pulse, and of a bus beside it; none if no pulse can be drawn."""
         world, boards, planner = self._world, self._world.boards, self._world.planner
         assert isinstance(planner, ScriptedPlanner)
-        free = [k for k in world.kinds.pulse if not world.judge.account.locked >> k & 1]
-        if not free or world.judge.account.homing:
+        free = [k for k in world.kinds.pulse if not world.account.locked >> k & 1]
+        if not free or world.account.homing:
             return {}
         k = self._random.choice(free)
         channel, pulse = world.arm.wiring.channels[k], world.kinds.pulse[k]
@@ -108,8 +108,8 @@ class PulseFaults:
             "bus is down while a pulse is on": Fault(switch(bus.go_down, PULSING), restore, down),
             "bus is down as a pulse begins": Fault(switch(bus.go_down, 0.0), restore, doubtful),
         }
-        told = world.judge.arm.sensed >> k & 1 or pulse > SHORT
-        judged = told and not world.judge.proofs.forgone >> k & 1
+        told = world.account.arm.sensed >> k & 1 or pulse > SHORT
+        judged = told and not world.account.arm.forgone >> k & 1
         if told:  # answers that were lost may still come, so a short pulse is not surely read
             made["nobody answers during a pulse"] = Fault(switch(mute, 0.0), disarm, NO_FAULT)
         if frame == cia301.SYNC and not world.arm.continue_on_stuck and judged:

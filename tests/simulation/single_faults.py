@@ -60,7 +60,7 @@ class SingleFaults:
         self.kinds, self._boots = FaultKinds(world, random), BootFaults(world, random)
         self._volleys = Volleys(world, random)
         self._made: Counter[str] = Counter()
-        told = world.judge.arm
+        told = world.account.arm
         self._rare = RARE | ({"executor ends with a lock"} if world.arm.contract_on_stop else set())
         self._rare |= {"executor is killed at a frame"} if told.paired & ~told.sensed else set()
 
@@ -75,7 +75,7 @@ class SingleFaults:
         planner.be_calm(True)
         planner.patient = True
         self._rest()
-        if world.judge.account.homing and self._random.random() < HOMED:
+        if world.account.homing and self._random.random() < HOMED:
             self._home(planner)
         faults, others = self.kinds.possible(), self._others(planner)
         name = min([*faults, *others], key=self._turn)
@@ -87,10 +87,10 @@ class SingleFaults:
             world.disturb()
             world.trouble.made[f"only: {name}"] += 1
             self._judge(name, faults[name], planner)
-            if any(not world.judge.arm.sensed >> k & 1 for k in world.kinds.pulse):
+            if any(not world.account.arm.sensed >> k & 1 for k in world.kinds.pulse):
                 world.pass_time(OWED)
         planner.patient = False
-        if not world.record.suspect and not world.judge.account.clear:
+        if not world.record.suspect and not world.account.clear:
             world.be_undisturbed()
 
     def _turn(self, name: str) -> tuple[int, float]:
@@ -116,7 +116,7 @@ class SingleFaults:
     def _home(self, planner: ScriptedPlanner) -> None:
         """Homes all actuators of unknown state by a program that switches one actuator."""
         world = self._world
-        free = bits_of(world.judge.arm.everything & ~world.judge.account.locked)
+        free = bits_of(world.account.arm.everything & ~world.account.locked)
         if free:
             planner.ask_to_switch(self._random.choice(free))
             world.pass_time(ANSWERED)
@@ -163,7 +163,7 @@ class SingleFaults:
         Mostly the RPDO is of an actuator of which the next process cannot know whether it has switched.
         """
         world, bus = self._world, self._random.choice(list(self._world.buses.values()))
-        unseen = bits_of(world.judge.arm.paired & ~world.judge.arm.sensed & ~world.judge.account.locked)
+        unseen = bits_of(world.account.arm.paired & ~world.account.arm.sensed & ~world.account.locked)
         if unseen and self._random.random() < 0.7:
             k = self._random.choice(unseen)
             bus = world.buses[world.arm.wiring.channels[k].bus]
@@ -178,7 +178,7 @@ class SingleFaults:
     def _lock(self, planner: ScriptedPlanner) -> None:
         """Locks an actuator where it is, if an end-stop tells its state; the executor that ends has it locked."""
         world = self._world
-        free = world.judge.arm.sensed & ~world.judge.account.locked
+        free = world.account.arm.sensed & ~world.account.locked
         if free:
             extended = free & world.boards.positions()  # which `on_stop: contract` would contract
             k = self._random.choice(bits_of(extended if extended and self._random.random() < 0.7 else free))
@@ -224,13 +224,13 @@ class SingleFaults:
 
     def _judge(self, name: str, fault: Fault, planner: ScriptedPlanner) -> None:
         world, expected = self._world, fault.expected
-        asked = world.judge.requests.asked
+        asked = world.account.questions
         planner.unlocks = False
         held = fault.holds()
         fault.cause()
         if not expected.codes:
             self._watch(expected, NOTHING)
-            require(not expected.asks or world.judge.requests.asked > asked, f"{name}, and the planner is not asked")
+            require(not expected.asks or world.account.questions > asked, f"{name}, and the planner is not asked")
             planner.way = ""
             fault.mend()
             self._watch(expected, NOTHING / 5)

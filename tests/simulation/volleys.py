@@ -30,8 +30,8 @@ class Volleys:
         """Switches a few actuators, each with another disturbance; nothing may be told of these."""
         world, random, planner = self._world, self._random, self._world.planner
         assert isinstance(planner, ScriptedPlanner)
-        free = [k for k in range(len(world.arm.actuators)) if not world.judge.account.locked >> k & 1]
-        if not free or world.judge.account.homing:
+        free = [k for k in range(len(world.arm.actuators)) if not world.account.locked >> k & 1]
+        if not free or world.account.homing:
             return
         world.disturb()
         names = list(self._of(planner, free[0]))
@@ -39,7 +39,7 @@ class Volleys:
             fit = [k for k in free if self._of(planner, k)[name] is not None]
             if not fit:
                 continue
-            weights = [1 + 2 * (k in world.kinds.pulse) + 2 * (not world.judge.arm.sensed >> k & 1) for k in fit]
+            weights = [1 + 2 * (k in world.kinds.pulse) + 2 * (not world.account.arm.sensed >> k & 1) for k in fit]
             k = random.choices(fit, weights)[0]
             cause = self._of(planner, k)[name]
             assert cause is not None
@@ -72,7 +72,7 @@ class Volleys:
         channel, pulse = world.arm.wiring.channels[k], world.kinds.pulse.get(k)
         bus, board = world.buses[channel.bus], f"{channel.bus}/{channel.node}"
         after, agenda = random.uniform(0.001, LONGEST_HOLD), world.agenda
-        blind = not world.judge.arm.sensed >> k & 1
+        blind = not world.account.arm.sensed >> k & 1
 
         def switch(*times: int) -> None:
             pause = max(world.kinds.travel[k]) + ECHO_LOST * (len(times) < MANY)
@@ -95,7 +95,7 @@ class Volleys:
                 agenda.after(after * random.uniform(0.1, 1.3), lambda: ask_again(other))
 
         def ask_again(other: int) -> None:
-            if planner.snapshot is not None and not world.judge.account.locked >> other & 1:
+            if planner.snapshot is not None and not world.account.locked >> other & 1:
                 planner.ask_to_switch(other)
 
         def fill() -> None:

@@ -24,6 +24,7 @@ from tests.simulation.facts import Step
 from tests.simulation.feed import Feed, Witnesses
 from tests.simulation.interface_feed import InterfaceFeed, interface_judge
 from tests.simulation.invariants import INVARIANTS
+from tests.simulation.judge.boards import BoardObjects
 from tests.simulation.judge.judge import Judge
 from tests.simulation.judge.memory import Memory
 from tests.simulation.judge.traffic import Look
@@ -83,6 +84,7 @@ class World:
         self.judge = judge = Judge(arm)
         self.account = Account(self)
         self.account.judge(every_statement(self.account))
+        self.objects = BoardObjects(arm)
         feed = Feed(judge, agenda, lambda counts: record.raised(counts, self.executor.journal.counts))
         witness = Witnesses(record, self.account, feed)
         self.habits = habits = Habits(drawn("habits"))
@@ -98,7 +100,7 @@ class World:
             self.planner = ScriptedPlanner(arm, agenda, drawn("planner"), self.executor)
             count = len(arm.actuators)
             parts = arm.name, count, agenda, drawn("strangers"), self.executor
-            self.strangers = Strangers(*parts, lambda: judge.silence.connected)
+            self.strangers = Strangers(*parts, lambda: self.account.planner is not None)
         else:
             of = interface_judge(judge, arm, planned, record)
             self.planner = self.daemon = Daemon(
@@ -177,7 +179,7 @@ class World:
             check_daemon(self, self.daemon)
         for name in self.boards.simulated.names:
             objects = self.boards.simulated.board(name).objects
-            self.judge.objects.judge(name, objects.has, objects.number)
+            self.objects.judge(name, objects.has, objects.number)
         if not self.record.suspect:
             self.be_undisturbed()
 
@@ -224,7 +226,7 @@ class World:
         without = sorted(number for key in accepted - set(record.results) for number in key[1:])
         require(not without, f"programs {without} have no result")
         require(self.intended == 0, "the journal waits for nothing")
-        self._memory.judge(record.instance, self.executor.core, len(self.judge.programs.unacknowledged))
+        self._memory.judge(record.instance, self.executor.core, len(self.account.owed))
 
     def drawn_half(self) -> bool:
         return self._random.random() < 0.5

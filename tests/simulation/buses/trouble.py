@@ -237,9 +237,7 @@ class Trouble:
         def consider(bus: BusModel) -> None:
             if not self._active or turn != self._round:
                 return
-            account = self._world.judge.account
-            strict = account.run is not None and account.run.strict
-            strict |= account.stream is not None and account.stream.message.strict
+            strict = any(motion.strict for motion in self._world.account.wanted)
             if strict and self._random.random() < 0.9:
                 self._world.agenda.after(self._random.uniform(0.0, 0.05), happen)
             bus.at_next_rpdo(partial(consider, bus))

@@ -28,6 +28,7 @@ class JudgedArm:
         extended_ends: mask of those with an end-stop at the extended end.
         contracted_ends: mask of those with one at the contracted end.
         sensed: mask of those with an end-stop.
+        forgone: mask of those without one whose outputs are not read back, either (`verify: false`).
         travel: longest times to contracted and to extended, shape (A, 2) [s].
         margin: settle margins, shape (A,) [s].
         board_of: name of the board with the outputs, shape (A,).
@@ -50,6 +51,8 @@ class JudgedArm:
         self.extended_ends = mask_of(k for k, c in indexed if c.input is not None)
         self.contracted_ends = mask_of(k for k, c in indexed if c.input_contracted is not None)
         self.sensed = self.extended_ends | self.contracted_ends
+        unread = {(node.bus, node.node) for node in arm.wiring.nodes if not node.verify}
+        self.forgone = mask_of(k for k, c in indexed if (c.bus, c.node) in unread) & ~self.sensed
         both = timing.travel_time, timing.travel_time
         self.travel = [both if c.travel is None else c.travel for c in channels]
         self.margin = [timing.settle_margin if c.settle_margin is None else c.settle_margin for c in channels]

@@ -11,11 +11,13 @@ from hyperbit.controller.executor.core.events import ClientGone, ClientId, Event
 from hyperbit.controller.host.process import Quit
 from hyperbit.controller.program import (
     Accepted,
+    Acknowledge,
     Begun,
     Cancel,
     Ended,
     Hello,
     Program,
+    Question,
     Replaced,
     Replacement,
     Setpoint,
@@ -67,6 +69,8 @@ class Motion:
         begin: zero of its stages' times [s].
         stages: states and earliest times of all stages so far.
         taken: the last stage that was told as begun.
+        strict: whether no stage is skipped, or begins before the one before has settled.
+        final: whether no further stages come.
         barred_at: when a stop, a cancel, a fault or a loss took its permission [s]; infinity before.
         ended: its result; None before.
     """
@@ -77,7 +81,7 @@ class Motion:
         self.stages: list[tuple[int, float]] = []
         self.append(0, message.stages)
         self.final = not isinstance(message, Program) or message.final
-        self.taken, self.barred_at = -1, math.inf
+        self.taken, self.barred_at, self.strict = -1, math.inf, message.strict
         self.ended: Ended | None = None
 
     def append(self, first: int, stages: Iterable[Any]) -> None:
@@ -133,6 +137,9 @@ class Account(Witness):
         epoch: the latest that was told.
         booted: a boot of this process has ended: it knows what the boards drive.
         order: number of the events that executors took so far.
+        owed: results of this process that the planner has not acknowledged, by number.
+        questions: number of the questions to planners so far.
+        ordered: NMT state of each board before the first NMT command of this process to it.
         quitting: the process was asked to end in order.
         programs: accepted programs of this process by number.
         running: the last of them, until its result.
@@ -147,7 +154,8 @@ class Account(Witness):
         self.pins = deque([Pins(-math.inf, 0, 0, 0, 0)], maxlen=REMEMBERED)
         self.switched_at = [-math.inf] * self.arm.count
         self.clear_since = math.inf
-        self.instance = self.missed = self.fallen = self.order = 0
+        self.instance = self.missed = self.fallen = self.order = self.questions = 0
+        self.ordered: dict[str, object] = {}
         self._begin()
 
     def judge(self, every: Iterable[Statement]) -> None:
@@ -170,6 +178,21 @@ class Account(Witness):
     def mode(self) -> str:
         return "starting" if self.shown is None else self.shown.mode
 
+    @property
+    def homing(self) -> int:
+        """Mask of the actuators of unknown state, as told."""
+        return 0 if self.shown is None else unpack(self.shown.homing)
+
+    @property
+    def locked(self) -> int:
+        """Mask of the locked actuators, as told."""
+        return self.arm.declared[0] if self.shown is None else unpack(self.shown.locked)
+
+    @property
+    def wanted(self) -> list[Motion]:
+        """What may move the arm now: the running program, or the followed set-points."""
+        return [*self.followed, *([self.running] if self.running else [])]
+
     def since(self, at: float) -> list[Pins]:
         """Returns all pins that held at a time or later, the newest first."""
         found: list[Pins] = []
@@ -187,6 +210,8 @@ class Account(Witness):
         self.shown: Snapshot | None = None
         self.epoch, self.quitting, self.booted, self.message = 0, False, False, None
         self.programs: dict[int, Motion] = {}
+        self.owed: dict[int, Ended] = {}
+        self.ordered.clear()
         self.running: Motion | None = None
         self.followed: list[Motion] = []
         self._commanded: dict[str, Sync] = {}  # RPDOs of each bus that were handed out last
@@ -232,6 +257,8 @@ class Account(Witness):
             case Cancel(program=number) if client == self.planner and self.running is not None:
                 if self.running.message.program == number:
                     self.running.barred_at = self.now
+            case Acknowledge() if client == self.planner:
+                self.owed.pop(message.result, None)
             case Setpoint() if client == self.planner and message.epoch >= self.epoch:
                 self.followed = [one for one in self.followed if one.message.stream == message.stream]
                 self.followed.append(Motion(message, self.order, self.now))
@@ -240,7 +267,7 @@ class Account(Witness):
 
     def bar(self) -> None:
         """Takes the permission to move from all that was asked for so far."""
-        for motion in [*self.followed, *([self.running] if self.running else [])]:
+        for motion in self.wanted:
             motion.barred_at = min(motion.barred_at, self.now)
         self.followed = []
 
@@ -253,14 +280,17 @@ class Account(Witness):
                 self.followed = []
             case Replaced(accepted=True) if self.running is not None and isinstance(self.message, Replacement):
                 self.running.append(self.message.first, self.message.stages)
-                self.running.final = self.message.final
+                self.running.final, self.running.strict = self.message.final, self.running.strict or self.message.strict
             case Begun() if message.program in self.programs:
                 self.programs[message.program].taken = message.stage
             case Ended() if message.program in self.programs:
+                self.owed[message.result] = message
                 motion = self.programs[message.program]
                 motion.ended = message
                 if motion is self.running:
                     self.running = None
+            case Question():
+                self.questions += 1
             case Snapshot():
                 if message.epoch > self.epoch or message.mode not in ("ready", "executing"):
                     self.bar()
@@ -289,9 +319,12 @@ class Account(Witness):
     def sends(self, bus: str, frame: Frame) -> object:
         self.see("sends", bus, frame)
         if frame.id & 0x780 in RPDOS:
-            motions = [*self.followed, *([self.running] if self.running else [])]
-            asked = [(motion, motion.due(self.now)) for motion in motions]
+            asked = [(motion, motion.due(self.now)) for motion in self.wanted]
             self._commanded[bus] = Sync(self.now, self.now, asked)
+        elif frame.id == cia301.NMT and frame.data[1:]:
+            name = f"{bus}/{frame.data[1]}"
+            if name in self.world.boards.simulated.names:
+                self.ordered.setdefault(name, self.world.boards.simulated.board(name).state)
         elif frame.id == cia301.SYNC and (commanded := self._commanded.get(bus)) is not None:
             asked = [(motion, stages) for motion, stages in commanded.asked if motion.barred_at == math.inf]
             return commanded._replace(at=self.now, asked=asked)
