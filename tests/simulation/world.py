@@ -85,7 +85,7 @@ class World:
         self.account = Account(self)
         self.account.judge(every_statement(self.account))
         self.objects = BoardObjects(arm)
-        feed = Feed(judge, agenda, lambda counts: record.raised(counts, self.executor.journal.counts))
+        feed = Feed(judge, agenda, lambda counts: None)
         witness = Witnesses(record, self.account, feed)
         self.habits = habits = Habits(drawn("habits"))
         self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, witness, habits)

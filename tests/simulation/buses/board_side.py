@@ -111,7 +111,9 @@ class BoardSide(AttachedBoards):
         return after
 
     def door(self, name: str, is_open: bool) -> None:
-        super().fault("open" if is_open else "close", name)
+        verb = "open" if is_open else "close"
+        super().fault(verb, name)
+        self._account.fault(verb, name)
         (self.opened.add if is_open else self.opened.discard)(name)
         self._record.doors(bool(self.opened))
 

@@ -14,6 +14,8 @@ from hyperbit.controller.program import (
     Acknowledge,
     Begun,
     Cancel,
+    Clearance,
+    Counts,
     Ended,
     Hello,
     Program,
@@ -21,6 +23,7 @@ from hyperbit.controller.program import (
     Replaced,
     Replacement,
     Setpoint,
+    Settled,
     Snapshot,
     Stop,
     Up,
@@ -29,7 +32,8 @@ from hyperbit.controller.program import (
 )
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
-from tests.simulation.buses.bus_model import RPDOS
+from hyperbit.drivers.canopen.wire.events import FrameReceived
+from tests.simulation.buses.bus_model import RPDOS, TPDOS
 from tests.simulation.executor.process import Witness
 from tests.simulation.facts import Energised, Switch
 from tests.simulation.judge.arm import JudgedArm, bits_of, merged
@@ -40,6 +44,7 @@ if TYPE_CHECKING:
 
 EPSILON = 1e-6  # [s], rounding errors of sums of times
 REMEMBERED = 100  # pins and readings
+REACHED = 0.005  # [s] from a change of an input to the arrival of its TPDO
 
 
 class Pins(NamedTuple):
@@ -60,6 +65,15 @@ class Pins(NamedTuple):
     contracted: int
 
 
+class Stage(NamedTuple):
+    """A stage of a program; of a set-point, only the states count."""
+
+    states: int
+    at: float = -math.inf
+    mark: int = -1
+    settled: float = 0.0
+
+
 class Motion:
     """A program that was accepted, or a set-point: what may move the arm, until it is barred.
 
@@ -67,7 +81,9 @@ class Motion:
         message: as it arrived.
         order: of the arrival at the executor.
         begin: zero of its stages' times [s].
-        stages: states and earliest times of all stages so far.
+        stages: all stages so far.
+        homes: mask of the actuators that it homes if their states are unknown.
+        unsettled: whether the mark of `taken` was not told as settled.
         taken: the last stage that was told as begun.
         strict: whether no stage is skipped, or begins before the one before has settled.
         final: whether no further stages come.
@@ -78,24 +94,26 @@ class Motion:
     def __init__(self, message: Program | Setpoint, order: int, begin: float) -> None:
         self.message, self.order, self.begin = message, order, begin
         self.start = unpack(message.start)
-        self.stages: list[tuple[int, float]] = []
+        self.stages: list[Stage] = []
         self.append(0, message.stages)
         self.final = not isinstance(message, Program) or message.final
+        self.homes = unpack(message.homed) if isinstance(message, Program) and message.homed else -1
+        self.unsettled = False
         self.taken, self.barred_at, self.strict = -1, math.inf, message.strict
         self.ended: Ended | None = None
 
     def append(self, first: int, stages: Iterable[Any]) -> None:
         """Replaces the stages from `first` on."""
         self.stages[first:] = [
-            (unpack(stage), -math.inf) if isinstance(stage, bytes) else (unpack(stage.states), stage.at)
+            Stage(unpack(stage))
+            if isinstance(stage, bytes)
+            else Stage(unpack(stage.states), stage.at, stage.mark, stage.settled)
             for stage in stages
         ]
 
     def due(self, now: float) -> list[int]:
         """Returns the states of the stages that may begin now."""
-        return [
-            states for k, (states, at) in enumerate(self.stages) if k > self.taken and self.begin + at <= now + EPSILON
-        ]
+        return [stage.states for stage in self.stages[self.taken + 1 :] if self.begin + stage.at <= now + EPSILON]
 
 
 class Sync(NamedTuple):
@@ -104,11 +122,15 @@ class Sync(NamedTuple):
     Attributes:
         at: time [s].
         commanded_at: time of the RPDOs before it [s].
+        program: number of the program that asked for its RPDOs; None: another motion.
+        strict: whether that is strict.
         asked: motions that asked for its RPDOs then, and are not barred now; with the states of their due stages.
     """
 
     at: float
     commanded_at: float
+    program: int | None
+    strict: bool
     asked: list[tuple[Motion, list[int]]]
 
 
@@ -129,8 +151,14 @@ class Account(Witness):
         arm: what its file says.
         pins: the present ones, after all earlier ones that are remembered.
         switched_at: when pins of each actuator changed last [s].
+        changed_at: when its end-stops changed last [s].
+        opened_at: when a door was opened [s]; infinity if all are closed.
+        open_known_at: when inputs of its board have reached the executor since; infinity before [s].
+        knows_open: whether they have.
+        heard_at: by board, when a frame of it reached this process last [s].
         clear_since: time since when nothing disturbs the world; infinity while something does [s].
         instance: number of the executor's process.
+        instance_at: time of its start [s].
         roles: roles of the welcomed clients.
         planner: the welcomed planner; None without one.
         shown: the latest snapshot of this process.
@@ -141,6 +169,8 @@ class Account(Witness):
         questions: number of the questions to planners so far.
         ordered: NMT state of each board before the first NMT command of this process to it.
         quitting: the process was asked to end in order.
+        ordered_end: its end has come.
+        questioned: a question to the planner is open.
         programs: accepted programs of this process by number.
         running: the last of them, until its result.
         followed: set-points that may be followed.
@@ -153,6 +183,9 @@ class Account(Witness):
         self.statements = Statements(())
         self.pins = deque([Pins(-math.inf, 0, 0, 0, 0)], maxlen=REMEMBERED)
         self.switched_at = [-math.inf] * self.arm.count
+        self.changed_at = [-math.inf] * self.arm.count
+        self.opened_at, self.open_known_at, self.instance_at = math.inf, math.inf, -math.inf
+        self._locks = {f"{lock.bus}/{lock.node}" for lock in world.arm.wiring.interlocks}
         self.clear_since = math.inf
         self.instance = self.missed = self.fallen = self.order = self.questions = 0
         self.ordered: dict[str, object] = {}
@@ -193,6 +226,17 @@ class Account(Witness):
         """What may move the arm now: the running program, or the followed set-points."""
         return [*self.followed, *([self.running] if self.running else [])]
 
+    def due(self, k: int) -> float:
+        """Returns when an actuator has arrived at the latest, by its travel time [s]."""
+        return self.switched_at[k] + self.arm.travel[k][self.pins[-1].states >> k & 1]
+
+    @property
+    def arrived(self) -> int:
+        """Mask of the actuators whose end-stop at the end to which they are driven tells that they are there."""
+        pins, arm = self.pins[-1], self.arm
+        extended = pins.states & arm.extended_ends & pins.extended
+        return extended | ~pins.states & arm.contracted_ends & pins.contracted
+
     def since(self, at: float) -> list[Pins]:
         """Returns all pins that held at a time or later, the newest first."""
         found: list[Pins] = []
@@ -211,6 +255,8 @@ class Account(Witness):
         self.epoch, self.quitting, self.booted, self.message = 0, False, False, None
         self.programs: dict[int, Motion] = {}
         self.owed: dict[int, Ended] = {}
+        self.heard_at: dict[str, float] = {}
+        self.knows_open = self.questioned = self.ordered_end = False
         self.ordered.clear()
         self.running: Motion | None = None
         self.followed: list[Motion] = []
@@ -221,21 +267,25 @@ class Account(Witness):
     def started(self) -> None:
         self.see("started")
         self.instance += 1
+        self.instance_at = self.now
         self._begin()
 
     def killed(self) -> None:
         self.see("killed")
         self._begin()
 
+    def hurries(self) -> None:
+        self.see("hurries")
+
     def told(self, event: Event) -> None:
         self.order += 1
         self.see("told", event)
         match event:
-            case FromClient(client, Hello() as hello):
-                self._hellos[client] = hello.role
             case FromClient(client, message):
                 self.message: Any = message
-                if client in self.roles:
+                if isinstance(message, Hello) and client not in self.roles:
+                    self._hellos[client] = message.role
+                elif client in self.roles:
                     self._take(client, message)
             case ClientGone(client):
                 self.roles.pop(client, None)
@@ -243,10 +293,23 @@ class Account(Witness):
                     self.planner = None
                     self.bar()
             case Quit():
-                self.quitting = True
+                self.ordered_end, self.quitting = self.quitting, True
                 self.bar()
+            case FrameReceived(bus, frame):
+                self._hear(bus, frame)
             case _:
                 pass
+
+    def _hear(self, bus: str, frame: Frame) -> None:
+        name = f"{bus}/{frame.id & 0x7F}"
+        self.heard_at[name] = self.now
+        if name in self._locks and frame.id & 0x780 in TPDOS and self.now > self.opened_at + REACHED:
+            self.open_known_at, self.knows_open = min(self.open_known_at, self.now), True
+
+    @property
+    def greets_planner(self) -> bool:
+        """Whether the executor handles the Hello of a planner."""
+        return isinstance(self.message, Hello) and self.message.role == "planner"
 
     def _take(self, client: ClientId, message: Any) -> None:
         match message:
@@ -257,6 +320,10 @@ class Account(Witness):
             case Cancel(program=number) if client == self.planner and self.running is not None:
                 if self.running.message.program == number:
                     self.running.barred_at = self.now
+            case Clearance() if client == self.planner:
+                self.questioned = False
+            case Counts() if client == self.planner:
+                self.world.record.raised(message.counts, self.world.executor.journal.counts)
             case Acknowledge() if client == self.planner:
                 self.owed.pop(message.result, None)
             case Setpoint() if client == self.planner and message.epoch >= self.epoch:
@@ -275,22 +342,27 @@ class Account(Witness):
         self.see("says", message)
         match message:
             case Accepted() if isinstance(self.message, Program):
-                self.running = Motion(self.message, self.order, message.begin)
+                self.running, self.questioned = Motion(self.message, self.order, message.begin), False
                 self.programs[message.program] = self.running
                 self.followed = []
             case Replaced(accepted=True) if self.running is not None and isinstance(self.message, Replacement):
                 self.running.append(self.message.first, self.message.stages)
+                self.questioned = False
                 self.running.final, self.running.strict = self.message.final, self.running.strict or self.message.strict
             case Begun() if message.program in self.programs:
-                self.programs[message.program].taken = message.stage
+                motion = self.programs[message.program]
+                motion.taken, motion.unsettled = message.stage, motion.stages[message.stage].mark >= 0
+            case Settled() if message.program in self.programs:
+                self.programs[message.program].unsettled = False
             case Ended() if message.program in self.programs:
                 self.owed[message.result] = message
                 motion = self.programs[message.program]
                 motion.ended = message
                 if motion is self.running:
-                    self.running = None
+                    self.running, self.questioned = None, False
             case Question():
                 self.questions += 1
+                self.questioned = True
             case Snapshot():
                 if message.epoch > self.epoch or message.mode not in ("ready", "executing"):
                     self.bar()
@@ -320,7 +392,10 @@ class Account(Witness):
         self.see("sends", bus, frame)
         if frame.id & 0x780 in RPDOS:
             asked = [(motion, motion.due(self.now)) for motion in self.wanted]
-            self._commanded[bus] = Sync(self.now, self.now, asked)
+            ran = self.running.message if self.running is not None else None
+            number = ran.program if isinstance(ran, Program) else None
+            strict = self.running is not None and self.running.strict
+            self._commanded[bus] = Sync(self.now, self.now, number, strict, asked)
         elif frame.id == cia301.NMT and frame.data[1:]:
             name = f"{bus}/{frame.data[1]}"
             if name in self.world.boards.simulated.names:
@@ -365,11 +440,18 @@ class Account(Witness):
     def reads(self, extended: int, contracted: int) -> None:
         """The end-stops of these masks read 1."""
         self.see("reads", extended, contracted)
+        last = self.pins[-1]
+        for k in bits_of((last.extended ^ extended) | (last.contracted ^ contracted)):
+            self.changed_at[k] = self.now
         self.pins.append(self.pins[-1]._replace(at=self.now, extended=extended, contracted=contracted))
 
     def fault(self, verb: str, name: str) -> None:
         """Something breaks at the boards, or is mended."""
         self.see("fault", verb, name)
+        if verb == "open":
+            self.opened_at = min(self.opened_at, self.now)
+        elif verb == "close" and self.world.boards.opened <= {name}:
+            self.opened_at, self.open_known_at, self.knows_open = math.inf, math.inf, False
 
     # --- the world
 

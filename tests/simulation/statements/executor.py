@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.simulation.statements import pins
+from tests.simulation.statements import pins, programs, running, told
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.statement import Statement
 
@@ -13,6 +13,27 @@ EVERY: tuple[type[Statement], ...] = (
     pins.CoilsComeOnByASync,
     pins.FewSwitchAtOnce,
     pins.NoStartChangesAPin,
+    programs.AcceptedProgramsFit,
+    programs.ValidProgramsRun,
+    programs.OneResultEach,
+    programs.DoneIsProven,
+    programs.StrictStagesWait,
+    programs.StagesBeginInTime,
+    programs.NothingRunsWithoutItsPlanner,
+    programs.OnlyTheWelcomeAct,
+    programs.LocksAndResetsAreSound,
+    told.SnapshotsAreTrue,
+    told.SilentBoardsAreUnknown,
+    told.CountsAreTheSwitches,
+    told.ResultsCountTheirSwitches,
+    told.NumbersNeverFall,
+    told.EpochsEnd,
+    running.HeartbeatsDoNotPause,
+    running.DiagnosticsCome,
+    running.NothingBeginsBesideAnOpenDoor,
+    running.AnEndInOrderLeavesTheArmAtRest,
+    running.NoDefect,
+    running.ContainersReturnToTheirSize,
 )
 
 

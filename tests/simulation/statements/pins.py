@@ -14,6 +14,7 @@ from tests.simulation.judge.arm import bits_of
 from tests.simulation.statements.account import EPSILON, Account
 from tests.simulation.statements.statement import Statement
 
+ROUNDED = 0.01  # [s] by which boards round their time-out
 LONGER = 0.1  # [s] that a pulse may be too long if its board has missed a frame: until it is read back
 
 
@@ -38,7 +39,7 @@ class PinsHaveACause(Statement):
             self._find_cause(switch, text)
         elif switch.cause == "time":
             heard = max(self._heard_at[k] for k in bits_of(switch.mask))
-            lost = account.now - heard >= account.arm.timing.heartbeat_timeout - EPSILON
+            lost = account.now - heard >= account.arm.timing.heartbeat_timeout - ROUNDED
             self.require(lost, lambda: f"{text}, {account.now - heard:g} s after a heartbeat")
         elif switch.cause.startswith("frame 6"):  # the boot of a board that another program took out of operational
             off = account.mode in ("starting", "stopped") and not switch.mask & switch.after
