@@ -1,14 +1,6 @@
 """Boards of another stack: python-canopen's SDO server, with CiA 301 and CiA 401 written from the standards on top.
 
-They share no code with `drivers`. Of CiA 301 they lack:
-
-- SDO block transfer: the server answers a block upload with segments, and refuses a block download;
-- several SDO servers, LSS, node guarding, time stamp, 1010h and 1011h;
-- inhibit and event times of PDOs, the reception deadline of RPDOs, TPDOs on SYNC or on remote request;
-- counter and window of SYNC.
-
-Of CiA 401 they lack polarity, filters, interrupt masks and single output bits. Time and frames come from the caller;
-there are no threads.
+They share no code with `drivers`; tests/README.md tells what they lack. Time and frames come from the caller.
 """
 
 from __future__ import annotations
@@ -18,30 +10,13 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from tests.second_opinion.dictionary import CONSUMERS, INVALID, Dictionary, mapping
+from tests.second_opinion.dictionary import CONSUMERS, INVALID, PDOS, Dictionary, Kind
 
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82  # NMT commands
 BOOTING, STOPPED, OPERATIONAL, READY = 0, 4, 5, 127  # NMT states; READY is pre-operational
 LOST, TOO_SHORT = 0x8130, 0x8210  # emergencies: heartbeat, length of a PDO
 COMMUNICATION_ERROR = 0x11  # 1001h: generic, communication
 TRAVEL = 0.02  # [s] of an actuator; its end-stop is the input of the same number
-
-
-class Kind(NamedTuple):
-    """What differs between the boards.
-
-    Attributes:
-        off_outside_operational: the pins are off in any state but operational, as in CANopenNode's example.
-        end_in_history: the end of an error enters 1003h, and an empty entry is no data, as in CANopenNode.
-    """
-
-    eds: str
-    off_outside_operational: bool
-    end_in_history: bool
-
-
-MODULE = Kind("module.eds", off_outside_operational=False, end_in_history=False)
-PLAIN = Kind("plain.eds", off_outside_operational=True, end_in_history=True)
 
 
 class Change(NamedTuple):
@@ -91,8 +66,7 @@ class Board:
 
     def _restart(self, everything: bool) -> None:
         if everything:
-            self.entries = Dictionary(self.node, self.kind.eds, self._stored, self.kind.end_in_history)
-            self.entries.connect(self._send)
+            self.entries = Dictionary(self.node, self.kind, self._send, self._stored)
             self.register = 0
             self._drive(0, "power")
         else:
@@ -197,10 +171,10 @@ class Board:
                 self._report(0)
 
     def _take_rpdo(self, cob_id: int, data: bytes) -> None:
-        for k in range(4):
+        for k in range(PDOS):
             if self.entries.number(0x1400 + k, 1) != cob_id:
                 continue
-            if len(data) < len(mapping(self.entries, 0x1600 + k)):
+            if len(data) < len(self.entries.mapping(0x1600 + k)):
                 self._report(TOO_SHORT)
             elif self.entries.number(0x1400 + k, 2) <= 240:
                 self._waiting[k] = data
@@ -216,7 +190,7 @@ class Board:
             self._apply("SYNC")
 
     def _store(self, k: int, data: bytes) -> None:
-        for (index, sub), byte in zip(mapping(self.entries, 0x1600 + k), data, strict=False):
+        for (index, sub), byte in zip(self.entries.mapping(0x1600 + k), data, strict=False):
             if index == 0x6200:
                 self.entries.put(index, sub, byte)
 
@@ -224,11 +198,11 @@ class Board:
         if self.state != OPERATIONAL:
             return
         enabled = not self.entries.has(0x6005) or self.entries.number(0x6005)
-        for k in range(4):
+        for k in range(PDOS):
             cob_id, kind = self.entries.number(0x1800 + k, 1), self.entries.number(0x1800 + k, 2)
             if cob_id & INVALID or kind < 254:
                 continue
-            data = bytes(self.entries.number(*place) for place in mapping(self.entries, 0x1A00 + k))
+            data = bytes(self.entries.number(*place) for place in self.entries.mapping(0x1A00 + k))
             before = self._sent.setdefault(k, data)
             if always or (enabled and before != data):
                 self._sent[k] = data
@@ -245,15 +219,13 @@ class Board:
 
     def _apply(self, cause: str) -> None:
         """Drives the pins as 6200h says."""
-        self._drive(self.entries.number(0x6200, 1) | self.entries.number(0x6200, 2) << 8, cause)
+        self._drive(self.entries.word(0x6200), cause)
 
     def _error_mode(self, cause: str) -> None:
         """Drives the pins as 6206h and 6207h say; without them they stay. 6200h keeps its value."""
         if self.entries.has(0x6206):
-            mode, value = (
-                self.entries.number(index, 1) | self.entries.number(index, 2) << 8 for index in (0x6206, 0x6207)
-            )
-            self._drive(self.pins & ~mode | value & mode, cause)
+            mode = self.entries.word(0x6206)
+            self._drive(self.pins & ~mode | self.entries.word(0x6207) & mode, cause)
 
     def _drive(self, pins: int, cause: str) -> None:
         if pins != self.pins:

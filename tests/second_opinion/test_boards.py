@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from hyperbit.controller.program import Snapshot, unpack
-from tests.second_opinion.board import MODULE, OPERATIONAL, PLAIN, PRE_OPERATIONAL, READY, STOPPED, Kind
+from tests.second_opinion.board import OPERATIONAL, PRE_OPERATIONAL, READY, RESET_COMMUNICATION, STOPPED
+from tests.second_opinion.dictionary import MODULE, PLAIN, Kind
 from tests.second_opinion.world import A, B, World
 
-HOLD: dict[str, Any] = {"on_loss": "hold"}
-CONTRACT: dict[str, Any] = {"on_loss": "contract"}
-DEVICE: dict[str, Any] = {"on_loss": "hold", "error_state": "device"}
-CASES = [(MODULE, HOLD), (MODULE, CONTRACT), (PLAIN, DEVICE)]
-NAMES = ["hold", "contract", "device"]
+CASES: dict[str, tuple[Kind, dict[str, Any]]] = {
+    "hold": (MODULE, {"on_loss": "hold"}),
+    "contract": (MODULE, {"on_loss": "contract"}),
+    "device": (PLAIN, {"on_loss": "hold", "error_state": "device"}),
+}
 
 
-@pytest.fixture(params=CASES, ids=NAMES)
+@pytest.fixture(params=CASES)
 def world(request: pytest.FixtureRequest) -> Iterator[World]:
-    kind, wiring = request.param
-    world = World(kind, **wiring)
+    """An arm that is ready; all changes of its pins are judged in the end."""
+    kind, wiring = CASES[request.param]
+    world = World(kind, **wiring).up()
     yield world
-    world.check()
+    world.causes()
 
 
 def after_loss(world: World) -> int:
@@ -31,8 +34,22 @@ def after_loss(world: World) -> int:
     return A if world.arm.wiring.on_loss == "hold" and world.boards[1].kind is MODULE else 0
 
 
+def kill_at_a(world: World) -> None:
+    """Kills the executor while A is driven; the boards lose their master."""
+    world.done(A)
+    world.kill()
+    world.go(1.0)
+    assert world.pins == after_loss(world)
+    world.causes()
+
+
+def unmoved(world: World, pins: int) -> None:
+    """Nothing has switched since the boards were last asked, and the arm works."""
+    assert (world.causes(), world.pins, unpack(world.last(Snapshot).outputs)) == ([], pins, pins)
+    world.done(B)
+
+
 def test_a_boot_from_power_on_moves_nothing_and_programs_reach_their_ends(world: World) -> None:
-    world.up()
     assert world.causes() == []
     assert {board.state for board in world.boards.values()} == {OPERATIONAL}
     for states in ((A,), (B, A, 0b111111), (0,)):
@@ -41,130 +58,103 @@ def test_a_boot_from_power_on_moves_nothing_and_programs_reach_their_ends(world:
 
 
 def test_a_killed_executor_leaves_the_error_state_and_the_next_start_changes_no_pin(world: World) -> None:
-    world.up().done(A)
-    world.kill()
-    world.go(1.0)
-    assert world.pins == after_loss(world)
+    kill_at_a(world)
     assert {board.entries.history[0] & 0xFFFF for board in world.boards.values()} == {0x8130}
     assert {board.state for board in world.boards.values()} <= {OPERATIONAL, STOPPED, READY}
-    world.causes()
     world.up()
-    assert world.pins == after_loss(world)
-    assert world.causes() == []
-    assert unpack(world.last(Snapshot).outputs) == world.pins
-    world.done(B)
+    unmoved(world, after_loss(world))
 
 
 def test_an_executor_that_returns_before_the_boards_miss_it_changes_no_pin(world: World) -> None:
-    world.up().done(A)
+    world.done(A)
     world.causes()
     world.kill()
     world.go(0.1)
     world.up()
-    assert world.causes() == []
-    assert world.pins == A
-    world.done(B)
+    unmoved(world, A)
 
 
 def test_a_board_that_loses_its_supply_comes_back_off_and_the_other_holds(world: World) -> None:
-    world.up().done(0b111111)
+    world.done(0b111111)
     world.boards[2].power_off(world.now)
     world.go(1.0)
     assert (world.mode, world.pins) == ("fault", 0b000111)
     world.boards[2].power_on(world.now)
     world.go(3.0)
-    if world.mode != "ready":
-        world.reset()
+    world.reset()
     assert world.pins == 0b000111
     world.done(B)
 
 
 def test_bus_off_in_mid_boot_and_again_changes_no_pin(world: World) -> None:
-    world.up().done(A)
-    world.kill()
-    world.go(1.0)
-    world.causes()
-    world.in_mid_boot = world.bus_off
+    kill_at_a(world)
+    world.in_mid_boot = lambda: world.cable.go(off=True)
     world.start()
     world.go(1.0)
     assert world.in_mid_boot is None
-    world.restart_bus()
+    world.cable.go(off=False)
     world.go(0.02)
-    world.bus_off()
+    world.cable.go(off=True)
     world.go(1.0)
-    world.restart_bus()
+    world.cable.go(off=False)
     world.until("ready")
-    assert world.causes() == []
-    assert world.pins == after_loss(world)
-    world.done(B)
+    unmoved(world, after_loss(world))
 
 
 def test_boards_that_another_tool_makes_pre_operational_before_the_start_change_no_pin(world: World) -> None:
-    world.up().done(A)
-    world.kill()
-    world.go(1.0)
-    world.causes()
+    kill_at_a(world)
     world.foreign(0, bytes([PRE_OPERATIONAL, 0]))
     world.go(0.5)
     held = world.pins
     world.changes.clear()
     world.up()
-    assert world.causes() == []
-    assert world.pins == held
+    unmoved(world, held)
 
 
 def test_a_stalled_executor_that_lost_its_boards_continues_and_moves_nothing(world: World) -> None:
-    world.up().done(A)
+    world.done(A)
     world.run(B, A, step=2.0)
     world.go(0.2)
-    world.causes()
     held = B if after_loss(world) else 0
     world.stall(3.0)
     world.go(4.0)
-    if world.mode != "ready":
-        world.reset()
+    world.reset()
     assert world.pins == held
-    assert "START" not in world.causes()
     world.done(0b100001)
 
 
 def test_a_boot_that_lost_the_answers_of_a_board_is_repeated_and_changes_no_pin(world: World) -> None:
-    world.up().done(A)
-    world.kill()
-    world.go(1.0)
-    world.causes()
-    world.in_mid_boot = world.lose_answers
+    kill_at_a(world)
+
+    def lose_answers() -> None:
+        world.answers = False
+
+    world.in_mid_boot = lose_answers
     world.start()
     world.until("fault")
     world.answers = True
     world.until("ready", 30.0)
-    assert world.causes() == []
-    assert world.pins == after_loss(world)
-    world.done(B)
+    unmoved(world, after_loss(world))
 
 
-def test_other_settings_on_loss_at_the_next_start_change_no_pin() -> None:
-    world = World(MODULE, **CONTRACT).up()
+def test_another_on_loss_at_the_next_start_changes_no_pin() -> None:
+    world = World(MODULE, on_loss="contract").up()
+    kill_at_a(world)
+    world.arm = replace(world.arm, wiring=replace(world.arm.wiring, on_loss="hold"))
+    world.up()
+    unmoved(world, 0)
+
+
+@pytest.mark.parametrize("case", ["hold", "device"])
+def test_a_reset_of_communication_by_another_tool_is_a_fault_and_energises_nothing(case: str) -> None:
+    kind, wiring = CASES[case]
+    world = World(kind, **wiring).up()
     world.done(A)
-    world.kill()
-    world.go(1.0)
-    world.causes()
-    world.start(on_loss="hold")
-    world.until("ready")
-    assert world.causes() == []
-    assert world.pins == 0
-    world.done(B)
-
-
-@pytest.mark.parametrize("kind", [MODULE, PLAIN])
-def test_a_reset_of_communication_by_another_tool_is_a_fault_and_energises_nothing(kind: Kind) -> None:
-    world = World(kind, **(HOLD if kind is MODULE else DEVICE)).up()
-    world.done(A)
-    world.foreign(0, bytes([0x82, 1]))
+    world.foreign(0, bytes([RESET_COMMUNICATION, 1]))
     world.go(0.5)
     held = world.pins
     assert world.mode == "fault"
     world.reset()
-    world.check()
+    world.causes()
     assert world.pins == held
     world.done(B)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import can
@@ -29,7 +28,8 @@ from hyperbit.controller.program import (
 )
 from hyperbit.drivers.canopen.wire.bus import CanBus
 from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
-from tests.second_opinion.board import MODULE, Board, Change, Kind
+from tests.second_opinion.board import Board, Change
+from tests.second_opinion.dictionary import MODULE, Kind
 
 NODES = (1, 2)
 FIRST = 7  # output of the first actuator of a board: its three outputs lie in both bytes
@@ -45,40 +45,36 @@ BUS_OFF, RESTARTED = 0x40, 0x100  # error frames of SocketCAN
 
 
 class Cable:
-    """A bus of python-can that the executor opens; the other end is the world's.
+    """The interface of python-can that the executor opens; the other end is the world's.
 
     Attributes:
         waiting: messages that the executor has not read yet.
         off: whether the executor's controller is bus-off: no frame passes.
     """
 
-    def __init__(self, world: World) -> None:
-        self._world = world
+    def __init__(self, sent: Callable[[int, bytes], None]) -> None:
         self.waiting: deque[can.Message] = deque()
-        self.off = False
+        self.off, self._sent = False, sent
 
     def send(self, message: can.Message) -> None:
         if self.off:
             raise can.CanOperationError("No buffer space available", error_code=105)
         message.is_rx = False
         self.waiting.append(message)
-        self._world.sent(message.arbitration_id, bytes(message.data))
+        self._sent(message.arbitration_id, bytes(message.data))
 
     def recv(self, timeout: float) -> can.Message | None:
         return self.waiting.popleft() if self.waiting else None
 
-    def shutdown(self) -> None:
-        self.waiting.clear()
+    def hear(self, cob_id: int, data: bytes) -> None:
+        if not self.off:
+            self.waiting.append(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
 
-
-class Wire(CanBus):
-    def __init__(self, cable: Cable, world: World) -> None:
-        super().__init__(BUS, lambda: world.now)
-        self._cable = cable
-        self.open()
-
-    def _open(self) -> Any:
-        return self._cable
+    def go(self, off: bool) -> None:
+        """Makes the controller bus-off, or restarts it."""
+        self.off = off
+        kind = BUS_OFF if off else RESTARTED
+        self.waiting.append(can.Message(arbitration_id=kind, is_error_frame=True, data=bytes(8)))
 
 
 class World:
@@ -97,7 +93,7 @@ class World:
         self.changes: list[tuple[str, Change]] = []
         self.journal = SwitchJournal(SIZE)
         self.core: Executor | None = None
-        self.cable = Cable(self)
+        self.cable = Cable(self._from_executor)
         self.answers, self.instances, self.programs = True, 0, 0
         self.heard: list[Any] = []
         self.logged: list[str] = []
@@ -105,15 +101,14 @@ class World:
         self._frames = 0
         self.boards = {node: Board(node, kind, self._from_board, self._changed) for node in NODES}
 
-    def start(self, on_loss: str | None = None) -> None:
+    def start(self) -> None:
         """Starts an executor; nothing of an earlier one remains but the switch journal."""
-        if on_loss is not None:
-            self.arm = replace(self.arm, wiring=replace(self.arm.wiring, on_loss=on_loss))
         self.instances += 1
         self.heard.clear()
         self._frames = 0
-        self.cable = Cable(self)
-        self.wire = Wire(self.cable, self)
+        self.cable = Cable(self._from_executor)
+        self.wire = CanBus(BUS, lambda: self.now, lambda **_: self.cable)
+        self.wire.open()
         self.core = Executor(self.arm, self.journal, instance=self.instances)
         self.send(Hello(VERSION, "planner", self.arm.name))
 
@@ -140,7 +135,7 @@ class World:
     def until(self, mode: str, seconds: float = 20.0) -> None:
         end = self.now + seconds
         while self.mode != mode:
-            assert self.now < end, f"not {mode} but {self.mode}: {self.reason}; {self.logged[-5:]}"
+            assert self.now < end, f"not {mode} but {self.mode}: {self.logged[-5:]}"
             self.go(TICK)
 
     def up(self) -> World:
@@ -186,80 +181,51 @@ class World:
         assert (ended.status, unpack(ended.measured), self.pins) == ("done", states[-1], states[-1]), self.logged[-5:]
 
     def reset(self) -> None:
-        self.send(Reset(1, self.epoch))
+        """Resets unless the arm is ready by itself."""
+        if self.core is not None and self.mode != "ready":
+            self.send(Reset(1, self.core.modes.epoch))
         self.go(TICK)
         self.until("ready")
-
-    @property
-    def epoch(self) -> int:
-        assert self.core is not None
-        return self.core.modes.epoch
 
     def last(self, kind: type) -> Any:
         return next(message for message in reversed(self.heard) if isinstance(message, kind))
 
     @property
     def mode(self) -> str:
-        assert self.core is not None
-        return self.core.modes.mode
+        return "dead" if self.core is None else self.core.modes.mode
 
-    @property
-    def reason(self) -> str:
-        assert self.core is not None
-        return self.core.modes.reason
+    def foreign(self, cob_id: int, data: bytes) -> None:
+        """Sends a frame of another program."""
+        self.cable.hear(cob_id, data)
+        self._to_boards(cob_id, data)
 
-    def sent(self, cob_id: int, data: bytes) -> None:
-        for board in self.boards.values():
-            board.receive(cob_id, data, self.now)
+    def _from_executor(self, cob_id: int, data: bytes) -> None:
+        self._to_boards(cob_id, data)
         self._frames += 1
         if self.in_mid_boot and (cob_id == 0 or self._frames >= 60):
             strike, self.in_mid_boot = self.in_mid_boot, None
             strike()
 
-    def foreign(self, cob_id: int, data: bytes) -> None:
-        self._to_executor(cob_id, data)
+    def _to_boards(self, cob_id: int, data: bytes) -> None:
         for board in self.boards.values():
             board.receive(cob_id, data, self.now)
 
-    def lose_answers(self) -> None:
-        self.answers = False
-
-    def bus_off(self) -> None:
-        self.cable.off = True
-        self._error(BUS_OFF)
-
-    def restart_bus(self) -> None:
-        self.cable.off = False
-        self._error(RESTARTED)
-
-    def _error(self, kind: int) -> None:
-        self.cable.waiting.append(can.Message(arbitration_id=kind, is_error_frame=True, data=bytes(8)))
-
     def _from_board(self, cob_id: int, data: bytes) -> None:
         if self.answers or cob_id & 0x780 != 0x580:
-            self._to_executor(cob_id, data)
-
-    def _to_executor(self, cob_id: int, data: bytes) -> None:
-        if not self.cable.off:
-            self.cable.waiting.append(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
+            self.cable.hear(cob_id, data)
 
     @property
     def pins(self) -> int:
         return sum((board.pins >> FIRST & 7) << 3 * k for k, board in enumerate(self.boards.values()))
 
     def _changed(self, change: Change) -> None:
-        self.changes.append(("dead" if self.core is None else self.mode, change))
+        self.changes.append((self.mode, change))
 
     def causes(self) -> list[str]:
-        """Checks the changes since the last call, and returns their causes."""
-        causes = [change.cause for _, change in self.changes]
-        self.check()
-        return causes
-
-    def check(self) -> None:
-        """Checks that no START changed a pin, and that only a SYNC of a program energised one."""
+        """Returns the causes of the changes since the last call; no START changes a pin, only SYNC energises one."""
         changes, self.changes = self.changes, []
         for mode, it in changes:
             shown = f"{it.cause} changed node {it.node} from {it.before:04X}h to {it.after:04X}h in {mode}"
             assert it.cause != "START", shown
             assert not it.energised or (it.cause, mode) == ("SYNC", "executing"), shown
+        return [change.cause for _, change in changes]

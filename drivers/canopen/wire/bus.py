@@ -9,6 +9,7 @@ import socket
 import struct
 import time
 from collections.abc import Callable
+from typing import Any
 
 import can
 
@@ -79,11 +80,12 @@ def lock_interface(channel: str) -> socket.socket:
 class CanBus:
     """One CAN bus. No method blocks, and only `open` raises.
 
-    A bus that goes down is opened again by `poll`, with a growing pause between attempts; `clock` returns the time [s].
+    A bus that goes down is opened again by `poll`, with a growing pause between attempts; `clock` returns the time [s],
+    and `make` opens an interface of python-can.
     """
 
-    def __init__(self, wiring: BusWiring, clock: Callable[[], float] = time.monotonic) -> None:
-        self.wiring, self.name, self._clock = wiring, wiring.name, clock
+    def __init__(self, wiring: BusWiring, clock: Callable[[], float] = time.monotonic, make: Any = can.Bus) -> None:
+        self.wiring, self.name, self._clock, self._make = wiring, wiring.name, clock, make
         self._bus: can.BusABC | None = None
         self._lock: socket.socket | None = None
         self._closed, self._down = True, False
@@ -180,7 +182,7 @@ class CanBus:
     def _open(self) -> can.BusABC:
         s = self.wiring
         echo = s.interface != "pcan"  # its driver for Linux refuses to echo
-        bus = can.Bus(
+        bus: can.BusABC = self._make(
             interface=s.interface, channel=s.channel, bitrate=s.bitrate, receive_own_messages=echo, ignore_config=True
         )
         if (raw := getattr(bus, "socket", None)) is not None:
