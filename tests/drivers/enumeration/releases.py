@@ -15,7 +15,7 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
 from hyperbit.drivers.canopen.wiring import Channel, Timing
 from hyperbit.drivers.simulation.variants import VARIANTS
-from tests.drivers.canopen.world import World, answering
+from tests.drivers.rig import World, answering
 from tests.simulation.buses.bus_model import OnItsWay
 
 BUS, NODES = "can0", (1, 2, 5)

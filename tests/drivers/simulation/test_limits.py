@@ -9,7 +9,7 @@ from hyperbit.drivers.canopen.wire.cia301 import Command
 from hyperbit.drivers.canopen.wiring import BusWiring, Timing, Wiring
 from hyperbit.drivers.simulation.buses import SimulatedBuses
 from hyperbit.drivers.simulation.fault_commands import perform
-from tests.drivers.canopen.world import one_board
+from tests.drivers.rig import one_board
 from tests.drivers.simulation.rig import EXTEND, booted
 
 OFF, ON = (0x185, "00" + 7 * " 00"), (0x185, EXTEND)

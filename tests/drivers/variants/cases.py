@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from hyperbit.drivers.canopen.wiring import Channel, Interlock, NodeWiring, Timing, WatchedObject
 from hyperbit.drivers.simulation.variants import VARIANTS
-from tests.drivers.canopen.world import World
+from tests.drivers.rig import World
 
 _NONE: Mapping[str, Any] = MappingProxyType({})
 

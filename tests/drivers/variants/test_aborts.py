@@ -13,7 +13,7 @@ from hyperbit.drivers.canopen.sdo import objects
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.boot.test_pins import boot, extended
-from tests.drivers.canopen.world import World
+from tests.drivers.rig import World
 
 BOARDS = {"hold": ("standard", "guarding-only", "many-outputs"), "contract": ("standard", "guarding-with-1029h")}
 

@@ -7,7 +7,7 @@ import pytest
 from hyperbit.drivers.canopen.wire.cia301 import Command, State
 from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.tools.test_bus_check import asked
-from tests.drivers.canopen.world import World
+from tests.drivers.rig import World
 from tests.drivers.variants.cases import CASES, IN_VAIN, UNSEEN_WITHOUT_WRITING, Case
 
 LONGEST = 60.0  # [s] of the boot of a board whose SDO answers take 0.6 s

@@ -8,7 +8,7 @@ import pytest
 
 from hyperbit.drivers.canopen.sdo.errors import MASTER_LOST
 from tests.drivers.canopen.tools.test_bus_check import asked
-from tests.drivers.canopen.world import World
+from tests.drivers.rig import World
 from tests.drivers.variants.cases import CASES, UNSEEN_WITHOUT_WRITING, Case
 from tests.drivers.variants.test_boots import boot
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hyperbit.drivers.canopen.wiring import Channel
-from tests.drivers.canopen.world import World
+from tests.drivers.rig import World
 
 
 def ends(world: World) -> int:

@@ -6,7 +6,7 @@ from random import Random
 
 from hyperbit.drivers.canopen.wiring import Channel, NodeWiring, Timing
 from hyperbit.drivers.simulation.variants import VARIANTS
-from tests.drivers.canopen.world import World
+from tests.drivers.rig import World
 from tests.drivers.variants.cases import CASES
 
 BOOTING = sorted({case.variant for case in CASES if not case.refused and not case.options})

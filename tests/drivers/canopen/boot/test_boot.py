@@ -9,7 +9,7 @@ import pytest
 from hyperbit.drivers.canopen.wire.events import BusChanged, FrameEchoed
 from hyperbit.drivers.canopen.wiring import Channel, Timing
 from hyperbit.drivers.simulation.buses import board_names
-from tests.drivers.canopen.world import World, two_boards, two_buses
+from tests.drivers.rig import World, two_boards, two_buses
 
 
 def many(boards: int, buses: int = 1) -> list[Channel]:

@@ -10,7 +10,7 @@ from hyperbit.drivers.canopen.boot import quirks
 from hyperbit.drivers.canopen.boot.quirks import Quirk, quirk_of
 from hyperbit.drivers.canopen.wiring import Channel, NodeWiring
 from hyperbit.drivers.simulation.variants import VARIANTS
-from tests.drivers.canopen.world import World
+from tests.drivers.rig import World
 
 FIVE = [Channel("5.left", "can0", 5, 0, 0), Channel("5.right", "can0", 5, 1, 1)]
 
@@ -119,8 +119,7 @@ def test_every_quirk_names_its_device_and_source():
 
 def test_a_pair_in_two_rpdos_needs_sync():
     far = [Channel("5.left", "can0", 5, 0, None, output_off=64)]
-    assert World(far, variants={"can0/5": VARIANTS["many-outputs"]}).boot().master.boot_faults == []
+    assert World(far, variants={"can0/5": VARIANTS["many-outputs"]}).boot() == []
     variant = dataclasses.replace(VARIANTS["many-outputs"], synchronous=False, read_only=frozenset({0x1600, 0x1604}))
-    world = World(far, variants={"can0/5": variant}).boot()
-    [fault] = world.master.boot_faults
+    [fault] = World(far, variants={"can0/5": variant}).boot()
     assert "outputs 0 and 64 of one actuator are in RPDO1 and RPDO5, which do not wait for SYNC" in fault.message

@@ -10,7 +10,7 @@ import pytest
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, State
 from hyperbit.drivers.simulation import dictionary
 from hyperbit.drivers.simulation.variants import VARIANTS
-from tests.drivers.canopen.world import Channel, World, one_board
+from tests.drivers.rig import Channel, World, one_board
 
 BOARD = {"can0/5": VARIANTS["standard"]}
 

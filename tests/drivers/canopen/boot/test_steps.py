@@ -9,7 +9,7 @@ import pytest
 from hyperbit.drivers.canopen.wiring import Timing
 from hyperbit.drivers.simulation.dictionary import Changes, array
 from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS
-from tests.drivers.canopen.world import TICK, World, one_board
+from tests.drivers.rig import TICK, World, one_board
 
 PRE_OPERATIONAL = (0, "80 05")
 
@@ -19,7 +19,7 @@ def changed(changes: Changes, **more: object) -> World:
 
 
 def refusal(world: World) -> tuple[str, str]:
-    [fault] = world.boot().master.boot_faults
+    [fault] = world.boot()
     return fault.code, fault.message
 
 
@@ -46,7 +46,8 @@ def test_a_guarded_board_that_does_not_tell_its_state_is_made_to_before_it_is_or
     world.run(0.3)
     world.timing = Timing(heartbeat=0.05, heartbeat_timeout=0.35)
     world.new_master()
-    sent = [frame for frame in world.boot().frames(sdo=True) if frame[0] in (0, 0x605)]
+    world.boot()
+    sent = [frame for frame in world.frames(sdo=True) if frame[0] in (0, 0x605)]
     before = sent[: sent.index(PRE_OPERATIONAL)]
     assert [data for _, data in before if data.startswith("2")] == [
         "2b 0c 10 00 32 00 00 00",
@@ -61,7 +62,8 @@ def test_outputs_that_go_off_without_the_master_are_set_to_it_after_the_start_on
     world = World(on_loss="hold" if on_loss == "contract" else "contract").up()
     world.wiring = replace(world.wiring, on_loss=on_loss)
     world.new_master()
-    sent = [data for cob_id, data in world.boot().frames(sdo=True) if cob_id in (0, 0x605)]
+    world.boot()
+    sent = [data for cob_id, data in world.frames(sdo=True) if cob_id in (0, 0x605)]
     written = [k for k, data in enumerate(sent) if data.startswith("2f 06 62 01")]
     assert (written[-1] < sent.index("01 05")) is early
     assert len(written) == 1

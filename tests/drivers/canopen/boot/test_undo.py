@@ -10,7 +10,7 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Command, State
 from hyperbit.drivers.simulation.variants import VARIANTS, StandingError
 from tests.drivers.canopen.boot.test_pins import BOARD, boot, extended
-from tests.drivers.canopen.world import World, one_board
+from tests.drivers.rig import World, one_board
 
 CHANGING = (0x1001, 0x1003, 0x6000)  # values that the board sets itself
 

@@ -6,7 +6,7 @@ import pytest
 
 from hyperbit.drivers.canopen.faults import ArmFault, Busy
 from hyperbit.drivers.canopen.wiring import Channel
-from tests.drivers.canopen.world import World, bits, two_boards, two_buses
+from tests.drivers.rig import World, bits, two_boards, two_buses
 
 
 def test_more_than_eight_outputs_on_a_board():
@@ -143,7 +143,7 @@ def test_no_sync_follows_a_stall_of_the_loop():
 def test_a_stuck_bus_is_lost_before_its_boards_lose_the_master():
     world = World().up()
     world.buses["can0"].stuck = True
-    took = world.until(lambda: world.codes())
+    took = world.until(lambda: world.told())
     why = "no frame was sent for 0.2 s: is the bus full, and does another node acknowledge?"
     assert world.faults == [ArmFault("bus-busy", "can0", f"can0: {why}")]
     assert took < world.timing.heartbeat_timeout

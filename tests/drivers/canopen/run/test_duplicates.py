@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hyperbit.drivers.canopen.wire import cia301
-from tests.drivers.canopen.world import World
+from tests.drivers.rig import World
 
 
 def doubling(world: World, every: int) -> World:
@@ -27,7 +27,7 @@ def test_two_boards_that_answer_as_one_are_noticed_and_the_board_stays_not_ready
         world.faults.clear()
         world.boot()
         world.run(1.0)
-        assert world.codes() == ["duplicate-node"]
+        assert world.told() == ["duplicate-node"]
         assert world.faults[0].message == "two boards answer as can0/5: give each its own node id, then reset"
         assert not world.master.outputs_known
 
@@ -48,7 +48,7 @@ def test_two_boards_that_send_heartbeats_with_one_node_id_are_noticed() -> None:
 
     world.after(period / 2, beat)
     world.run(21 * period)
-    assert world.codes() == ["duplicate-node"]
+    assert world.told() == ["duplicate-node"]
     assert not world.master.outputs_known
 
 
@@ -60,4 +60,4 @@ def test_heartbeats_that_come_late_and_at_once_are_of_one_board() -> None:
     world.run(3.0)
     world.stall(0.2)
     world.run(3.0)
-    assert world.codes() == []
+    assert world.told() == []

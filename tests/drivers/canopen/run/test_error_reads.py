@@ -10,7 +10,7 @@ from hyperbit.drivers.canopen.wire.cia301 import Command
 from hyperbit.drivers.canopen.wire.events import BusChanged
 from hyperbit.drivers.canopen.wiring import Channel
 from hyperbit.drivers.simulation.variants import VARIANTS
-from tests.drivers.canopen.world import World
+from tests.drivers.rig import World
 
 
 def read(world: World) -> Errors | ArmFault:

@@ -8,14 +8,14 @@ from hyperbit.drivers.canopen.faults import Busy
 from hyperbit.drivers.canopen.wire.cia301 import Frame, State
 from hyperbit.drivers.canopen.wire.events import BusChanged, FrameEchoed, FrameIgnored
 from hyperbit.drivers.canopen.wiring import Timing
-from tests.drivers.canopen.world import World, two_boards, two_buses
+from tests.drivers.rig import World, two_boards, two_buses
 
 
 def test_a_silent_board_is_lost_once_and_nothing_is_sent_until_boot():
     world = World().up()
     world.boards.board("can0/5").silent = True
     world.run(2)
-    assert world.codes() == ["board-lost"]
+    assert world.told() == ["board-lost"]
     assert world.measured() == [-1, -1]
     assert world.master.status().boards[0].state == "lost"
     world.frames()
@@ -103,8 +103,8 @@ def test_a_heartbeat_that_was_not_sent_shortens_no_halt():
 def test_tick_reports_a_halt_as_well():
     world = World().up()
     world.stall(0.5)
-    assert "halted" in world.codes()
-    assert world.codes().count("halted") == 1
+    assert "halted" in world.told()
+    assert world.told().count("halted") == 1
 
 
 @pytest.mark.parametrize("cob_id", [0x000, 0x080, 0x205, 0x77F])
@@ -112,7 +112,7 @@ def test_another_master_is_reported(cob_id):
     world = World().up()
     world.say(cob_id, b"\x05" * (cob_id != 0x080))
     world.run(0.01)
-    assert world.codes() == ["foreign-master"]
+    assert world.told() == ["foreign-master"]
     assert world.faults[0].source == "can0"
     assert f"{cob_id:03X}h" in world.faults[0].message
     assert world.master.status().buses[0].ignored == 0
@@ -142,7 +142,7 @@ def test_a_board_that_leaves_operational_is_told_with_the_remedy():
 def test_another_program_on_the_same_computer_is_another_master():
     world = World().up()
     world.master.receive_event(FrameEchoed("can0", Frame(0x205, b"\x00"), None), world.now)
-    assert world.codes() == ["foreign-master"]
+    assert world.told() == ["foreign-master"]
 
 
 @pytest.mark.parametrize(
@@ -166,7 +166,7 @@ def test_an_emergency_is_reported_in_words(code, words):
     world.say(0x085, bytes(8))
     world.run(0.01)
     assert world.master.status().boards[0].emergency is None
-    assert world.codes() == ["emergency"]
+    assert world.told() == ["emergency"]
     assert words in world.faults[0].message
 
 
@@ -186,7 +186,7 @@ def test_too_few_inputs_are_a_fault_and_no_state():
     world = World().up()
     world.say(0x185, b"")
     world.run(0.01)
-    assert world.codes() == ["wrong-length"]
+    assert world.told() == ["wrong-length"]
     assert "its inputs came in 0 bytes, not in 1" in world.faults[0].message
     assert world.measured() == [0, 0]
 
@@ -197,7 +197,7 @@ def test_the_first_bytes_of_longer_inputs_count_with_one_warning():
         world.say(0x185, data)
         world.run(0.01)
         assert world.measured() == [data[0] & 1, data[0] >> 1]
-    assert world.codes() == []
+    assert world.told() == []
     [limits] = world.master.warnings()
     assert limits.code == "board-limits"
     assert "its inputs come in 2 bytes, though 1 are mapped: only the first ones are used" in limits.message
@@ -221,7 +221,7 @@ def test_after_bus_off_nothing_is_sent_until_boot(told):
     world = World().up()
     world.boards.board("can0/5").silent = True
     world.buses["can0"].go_off()
-    assert world.codes() == ["bus-off"]
+    assert world.told() == ["bus-off"]
     world.run(0.01)
     world.buses["can0"].log.clear()
     world.run(1)
@@ -266,7 +266,7 @@ def test_a_fault_is_reported_again_after_boot():
         world.say(0x080)
         world.run(0.01)
         world.up()
-    assert world.codes() == ["foreign-master"] * 2
+    assert world.told() == ["foreign-master"] * 2
 
 
 def test_a_question_reads_inputs_whose_tpdo_was_lost():

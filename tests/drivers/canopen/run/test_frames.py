@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hyperbit.drivers.canopen.wiring import Timing
-from tests.drivers.canopen.world import World, two_boards, two_buses
+from tests.drivers.rig import World, two_boards, two_buses
 
 
 def spoken(world: World) -> str:
@@ -45,8 +45,8 @@ def test_the_first_sync_comes_after_frames_to_all_boards():
 
 
 def test_commit_with_a_shared_rpdo():
-    world = World(two_boards(), shared_rpdo=True).boot()
-    assert world.master.boot_faults == []
+    world = World(two_boards(), shared_rpdo=True)
+    assert world.boot() == []
     frames = world.frames(sdo=True)
     left, right = ([data for cob_id, data in frames if cob_id == 0x600 + node] for node in (5, 9))
     assert "40 00 16 01 00 00 00 00" in left  # the first object is mapped already

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hyperbit.drivers.canopen.wire.cia301 import REMOTE, Command, Frame, State
 from hyperbit.drivers.canopen.wiring import Channel, Timing
 from hyperbit.drivers.simulation.variants import VARIANTS
-from tests.drivers.canopen.world import World, one_board
+from tests.drivers.rig import World, one_board
 
 POLL = Frame(REMOTE | 0x705)
 
@@ -34,8 +34,8 @@ def test_the_life_time_is_the_heartbeat_time_out_rounded_up():
 def test_a_guarded_board_that_falls_silent_is_lost():
     world = guarded().up()
     world.boards.board("can0/5").silent = True
-    took = world.until(world.codes)
-    assert world.codes() == ["board-lost"]
+    took = world.until(world.told)
+    assert world.told() == ["board-lost"]
     assert "no answer to node guarding for 0.35 s" in world.faults[0].message
     assert 0.2 < took < 0.5
     world.boards.board("can0/5").silent = False
@@ -51,7 +51,7 @@ def test_answers_whose_bit_does_not_alternate_do_not_count():
     for _ in range(5):
         world.say(0x705, b"\x05")
         world.run(0.1)
-    assert world.codes() == ["board-lost"]
+    assert world.told() == ["board-lost"]
 
 
 def test_forty_guarded_boards_are_polled_in_time():
@@ -71,7 +71,7 @@ def test_a_guarded_board_keeps_its_outputs_while_it_is_booted_again_on_a_slow_bu
     world.boot()
     assert world.master.boot_faults == []
     assert world.master.outputs == 0b11
-    assert world.codes() == []
+    assert world.told() == []
 
 
 def test_a_stopped_board_boots_also_if_the_boot_timeout_is_as_short_as_the_first_question():

@@ -11,7 +11,7 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.events import BusOverrun
 from hyperbit.drivers.canopen.wire.link import Link
 from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Interlock, Wiring
-from tests.drivers.canopen.world import World
+from tests.drivers.rig import World
 
 
 def lose_one_tpdo(world: World, node: int) -> None:

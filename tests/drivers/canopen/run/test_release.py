@@ -11,7 +11,7 @@ from hyperbit.drivers.canopen.faults import Busy
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wiring import Channel
 from hyperbit.drivers.simulation.variants import STANDARD
-from tests.drivers.canopen.world import World
+from tests.drivers.rig import World
 from tests.simulation.buses.bus_model import BusModel
 
 
@@ -166,7 +166,7 @@ def test_a_release_switches_nothing_on_at_a_board_that_has_restarted() -> None:
     world.run(0.05)
     world.cycle_power("can0/1")
     world.run(0.1)
-    assert world.codes() == ["board-rebooted"]
+    assert world.told() == ["board-rebooted"]
     world.frames()
     world.master.commit(0b00100, world.now, release=True)
     world.run(0.05)

@@ -10,7 +10,7 @@ from hyperbit.drivers.canopen.run.master import Master
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import BusChanged, FrameEchoed, FrameIgnored, FrameReceived, SendFailed
 from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
-from tests.drivers.canopen.world import World, measured, two_boards, two_buses
+from tests.drivers.rig import World, measured, two_boards, two_buses
 
 NODES = (5, 9)
 OURS = [base + node for base in (0x080, 0x180, 0x200, 0x580, 0x600, 0x700) for node in NODES]

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from hyperbit.drivers.canopen.wiring import Channel, NodeWiring, Timing
-from tests.drivers.canopen.world import World
+from tests.drivers.rig import World
 
 BLIND = [Channel("5.left", "can0", 5, 0, None), Channel("9.left", "can0", 9, 3, None)]
 
@@ -42,7 +42,7 @@ def test_a_board_that_does_not_follow_stays_unread_until_it_is_a_fault():
     while not world.faults:
         assert world.master.unread & 0b01
         world.run(0.001)
-    assert world.codes() == ["not-switched"]
+    assert world.told() == ["not-switched"]
     text = "can0/5 has 00h in 6200h sub 1 (outputs); 01h was switched: it does not follow RPDO and SYNC"
     assert text in world.faults[0].message
     assert world.measured() == [-1, 1]
@@ -58,7 +58,7 @@ def test_a_board_that_follows_each_switch_late_is_no_fault():
         world.run(0.25)  # five wrong reads; the eighth in a row is a fault
         sdo(world, 0x6200, 1, states[0], 1)
         world.until(lambda: not world.master.unread)
-    assert world.codes() == []
+    assert world.told() == []
 
 
 @pytest.mark.parametrize("end_stop", [None, 0])
@@ -67,16 +67,16 @@ def test_a_board_that_stops_switching_later_is_noticed_within_two_seconds(end_st
     world.commit(1, then=0.5)
     sdo(world, 0x1005, 0, 0x85, 4)
     world.commit(0)
-    assert world.until(lambda: world.codes()) < 2
-    assert world.codes() == ["not-switched"]
+    assert world.until(lambda: world.told()) < 2
+    assert world.told() == ["not-switched"]
 
 
 def test_another_program_that_switches_an_output_is_noticed():
     world = World(BLIND).up()
     world.commit(1, 1, then=0.5)
     sdo(world, 0x6200, 1, 0x00, 1)
-    assert world.until(lambda: world.codes()) < 2
-    assert world.codes() == ["not-switched"]
+    assert world.until(lambda: world.told()) < 2
+    assert world.told() == ["not-switched"]
 
 
 @pytest.mark.parametrize(
@@ -86,18 +86,18 @@ def test_another_program_that_switches_an_output_is_noticed():
 def test_another_program_that_changes_a_board_is_noticed(index, sub, value, size):
     world = World(BLIND).up()
     sdo(world, index, sub, value, size)
-    assert world.until(lambda: world.codes()) < 10
-    assert world.codes() == ["board-changed"]
+    assert world.until(lambda: world.told()) < 10
+    assert world.told() == ["board-changed"]
     assert f"can0/5 has {value:0{2 * size}X}h in {index:04X}h sub {sub}" in world.faults[0].message
     world.up()
     world.run(5)
-    assert world.codes() == ["board-changed"]
+    assert world.told() == ["board-changed"]
 
 
 def test_an_error_of_which_no_emergency_was_heard_is_noticed():
     world = World(BLIND).up()
     world.boards.board("can0/5").objects.set_number(0x1001, 0, 0x09)
-    assert world.next_codes() == ["board-error"]
+    assert world.next_told() == ["board-error"]
     assert "1001h sub 0 is 09h" in world.faults[0].message
 
 
@@ -127,7 +127,7 @@ def test_a_pulse_that_a_board_does_not_follow_is_noticed_inside_the_pulse(length
     world.boards.board("can0/5").pdos.receive = lambda cob_id, data, now: False
     pulse(world, length)
     world.run(1.0)
-    assert world.codes() == ["not-switched"]
+    assert world.told() == ["not-switched"]
     assert world.master.drain_missed() == 0b01
 
 
@@ -148,7 +148,7 @@ def test_a_pulse_that_a_board_follows_late_is_no_fault():
     world.until(lambda: (0x585, "4f 00 62 01 00 00 00 00") in world.frames(sdo=True))
     sdo(world, 0x6200, 1, 1, 1)
     world.until(lambda: not world.master.unread)
-    assert world.codes() == []
+    assert world.told() == []
 
 
 def test_a_coil_that_another_program_has_switched_on_leaves_the_state_unknown():
@@ -166,11 +166,11 @@ def test_pulses_that_are_over_before_they_are_read_are_missed_and_the_third_is_a
         world.run(1.0)
         assert world.master.unread == 0b01
         assert not world.master.committing
-        assert world.codes() == []
+        assert world.told() == []
         assert world.master.drain_missed() == 0b01
         assert world.master.status().boards[0].unverified == k + 1
-    world.until(world.codes)
-    assert world.codes() == ["not-verified"]
+    world.until(world.told)
+    assert world.told() == ["not-verified"]
     assert "verify: false in boards.nodes" in world.faults[0].message
 
 
@@ -183,7 +183,7 @@ def test_a_board_that_is_unplugged_in_its_third_short_pulse_is_lost_and_nobody_a
         world.run(0.01)
         assert world.master.drain_missed() == 0b01
         world.run(1.0)
-    assert world.codes() == ["board-lost"]
+    assert world.told() == ["board-lost"]
 
 
 def test_pulses_of_a_board_that_is_not_verified_are_not_missed():
@@ -233,7 +233,7 @@ def test_the_end_of_a_pulse_is_sent_until_it_is_read_off_also_to_a_board_that_is
     for _ in range(100):
         world.master.commit(0, world.now, release=True)
         world.run(0.01)
-    assert world.codes()[0] == "board-lost"
+    assert world.told()[0] == "board-lost"
     assert world.boards.coils() == [(0, 0)]
     assert world.master.released | world.master.doubtful == 0b01  # nobody has told so
     world.lost = lambda bus, frame: False
@@ -251,7 +251,7 @@ def test_outputs_that_cannot_be_read_back_are_not_verified(answer):
     else:
         world.lost = lambda bus, frame: frame.id == 0x585
     world.commit(1)
-    assert world.next_codes() == ["not-verified"]
+    assert world.next_told() == ["not-verified"]
     assert world.master.status().boards[0].unverified == 3
 
 
@@ -259,7 +259,7 @@ def test_a_silent_board_is_lost_however_long_its_heartbeats_are_awaited():
     world = World(BLIND, Timing(heartbeat_timeout=5.0)).up()
     world.boards.board("can0/5").silent = True
     world.commit(1, 1)
-    assert world.next_codes() == ["board-lost"]
+    assert world.next_told() == ["board-lost"]
 
 
 def test_an_old_emergency_does_not_hide_another_error():
@@ -269,14 +269,14 @@ def test_an_old_emergency_does_not_hide_another_error():
     world.run(0.01)
     world.up()
     world.boards.board("can0/5").objects.set_number(0x1001, 0, 0x05)
-    assert world.next_codes() == ["board-error"]
+    assert world.next_told() == ["board-error"]
 
 
 def test_the_end_of_an_emergency_hides_no_error():
     world = World(BLIND).up()
     world.say(0x085, bytes(8))
     world.boards.board("can0/5").objects.set_number(0x1001, 0, 0x01)
-    world.until(lambda: world.codes())
+    world.until(lambda: world.told())
     assert [(fault.code, fault.source) for fault in world.faults] == [("board-error", "can0/5")]
 
 
@@ -301,4 +301,4 @@ def test_a_new_error_in_the_bits_of_a_standing_one_is_noticed_by_the_history(new
     for sub, value in ((0, 1), (1, newest)):
         world.boards.board("can0/5").objects.set_number(0x1003, sub, value)
     world.run(10.0)
-    assert world.codes() == codes
+    assert world.told() == codes

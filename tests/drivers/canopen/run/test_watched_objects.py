@@ -7,7 +7,7 @@ import pytest
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wiring import Channel, Interlock, WatchedObject
 from hyperbit.drivers.simulation.variants import VARIANTS
-from tests.drivers.canopen.world import World
+from tests.drivers.rig import World
 
 SUPPLY = WatchedObject(0x2102, 0)
 GATE = 1 << 2  # line of the interlock, after those of two end-stops

@@ -9,7 +9,7 @@ from hyperbit.drivers.canopen.tools.session import Session
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import BusChanged, Event
 from hyperbit.drivers.canopen.wiring import BusWiring
-from tests.drivers.canopen.world import World
+from tests.drivers.rig import World
 
 
 class WorldBus:

@@ -17,7 +17,7 @@ from hyperbit.drivers.canopen.wiring import BusWiring, Channel
 from hyperbit.drivers.simulation.objects import Objects
 from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.tools.sessions import session
-from tests.drivers.canopen.world import World, two_boards, two_buses
+from tests.drivers.rig import World, two_boards, two_buses
 
 
 def asked(world: World, lose: str | None = None, **changes: object) -> list[CheckedBoard]:

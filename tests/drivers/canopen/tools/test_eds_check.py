@@ -13,7 +13,7 @@ from hyperbit.drivers.canopen.tools.eds_file import UnreadableEds
 from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Interlock, NodeWiring, Timing, WatchedObject, Wiring
 from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.tools.test_eds_texts import TEXT, both, drop, put
-from tests.drivers.canopen.world import World
+from tests.drivers.rig import World
 
 BUS = BusWiring("can0", "none", "can0")
 
@@ -161,8 +161,8 @@ def test_the_check_says_what_the_boot_says(tmp_path, name):
     """The procedures are the boot's own, so that the sentences are the same."""
     variant = VARIANTS[name]
     told = found(tmp_path, *((f"{index:04X}", "") for index in sorted(variant.absent)))
-    world = World([Channel("a", "can0", 5, 3, 2)], variants={"can0/5": variant}).boot()
-    refusals = [fault.message.partition(" has no ")[2] for fault in world.master.boot_faults]
+    faults = World([Channel("a", "can0", 5, 3, 2)], variants={"can0/5": variant}).boot()
+    refusals = [fault.message.partition(" has no ")[2] for fault in faults]
     assert [lack.partition(" has no ")[2] for lack in told] == refusals
 
 

@@ -11,7 +11,7 @@ from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import FrameEchoed
 from hyperbit.drivers.simulation.lss import ANSWER, REQUEST, UNCONFIGURED, LssSlave
 from tests.drivers.canopen.tools.sessions import session
-from tests.drivers.canopen.world import World, two_boards
+from tests.drivers.rig import World, two_boards
 
 ONE, TWO = LssIdentity(0x21, 337, 0x10000, 0xDEADBEEF), LssIdentity(0x21, 337, 0x10000, 0xDEADBEEE)
 

@@ -12,7 +12,7 @@ from hyperbit.drivers.canopen.wire.events import FrameReceived
 from hyperbit.drivers.canopen.wiring import Channel
 from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.tools.sessions import session
-from tests.drivers.canopen.world import World, two_boards
+from tests.drivers.rig import World, two_boards
 
 
 def probed(world: World, **options: bool) -> list[ProbedNode]:
