@@ -34,6 +34,7 @@ class FakeMaster:
         self.boots = (0,) * len(nodes)
         self.booted = 0
         self.boot_faults: list[ArmFault] = []
+        self.limits: tuple[ArmFault, ...] = ()
         self.commit_failed: str | None = None
         self.commits: list[tuple[float, int]] = []
         self.questions: list[tuple[int, float]] = []
@@ -196,7 +197,7 @@ class FakeMaster:
         return missed
 
     def warnings(self) -> tuple[ArmFault, ...]:
-        return ()
+        return self.limits
 
     def status(self) -> MasterStatus:
         return MasterStatus((), ())

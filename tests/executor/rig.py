@@ -1,25 +1,25 @@
-"""The executor's core alone, for tests of its rules: a master without boards, and a planner that the test plays.
+"""The executor with a planner that the test plays: on a master without boards, or on simulated boards and buses.
 
-`tests/executor/world.py` has the executor with buses and boards. Both have the clock of the simulation.
+Both have the clock of the simulation.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from random import Random
 from typing import Any, Literal, TypeVar
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import Executor
-from hyperbit.controller.executor.core.events import ClientGone, ClientId, ExecutorTick, FromClient, ToClient
+from hyperbit.controller.executor.core.events import ClientGone, ClientId, Event, ExecutorTick, FromClient, ToClient
 from hyperbit.controller.host.process import Log, Notify
 from hyperbit.controller.program import (
     TICK,
     VERSION,
     Alive,
     Answer,
-    Diagnostics,
     Ended,
     Hello,
     Program,
@@ -31,13 +31,20 @@ from hyperbit.controller.program import (
     unpack,
 )
 from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.events import FrameIgnored
 from hyperbit.drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
+from hyperbit.drivers.simulation.variants import Variant
 from tests.executor.fake_master import FakeMaster
 from tests.simulation.agenda import Agenda
+from tests.simulation.buses.hardware import Hardware
+from tests.simulation.executor.process import WAKE_UP, ExecutorProcess, Witness
 
 SIZE = 6
+ALL = (1 << SIZE) - 1
+A, B, C = 0b000111, 0b011100, 0b110000
 TRAVEL, MARGIN = 0.05, 0.03
+STEP = 0.001  # [s]
 PLANNER, OTHER, OPERATOR = ClientId(1, 4001), ClientId(2, 4002), ClientId(3, 4003)
 LABELS = tuple(f"{module}.{name}" for module in (1, 2) for name in ("left", "diagonal", "right"))
 LOST = ArmFault("board-lost", "can0/1", "board can0/1: no heartbeat")
@@ -47,7 +54,7 @@ T = TypeVar("T")
 
 
 def small_arm(
-    sensed: int = 0b111111,
+    sensed: int = ALL,
     margin: float = MARGIN,
     channel: dict[str, Any] | None = None,
     interlocks: tuple[Interlock, ...] = (),
@@ -83,70 +90,25 @@ def small_arm(
     return ExecutedArm("small", LABELS, wiring, timing, digest="d" * 64, **fields)
 
 
-class Rig:
-    """An executor and its actions; `go` advances the time while the planner is alive."""
+class Played:
+    """A planner that the test plays, and what the executor tells its clients, with times."""
 
-    def __init__(self, **fields: Any) -> None:
-        self.agenda = Agenda()
-        self.arm = small_arm(**fields)
-        self.journal = SwitchJournal(SIZE)
-        self.core = Executor(self.arm, self.journal, instance=7, watchdog=0.4, build_master=FakeMaster)
-        self.master: FakeMaster = self.core.master
-        self.heard: list[tuple[ClientId, Any]] = []
-        self.notified: list[str] = []
+    core: Executor
+    now: Any  # [s], of the clock
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[float, ClientId, Any]] = []
         self.logged: list[tuple[int, str]] = []
-        self.fields: list[Mapping[str, str]] = []  # of the same lines, for the journal
-        self.alive = False
         self.programs = 0
 
-    @property
-    def now(self) -> float:
-        return self.agenda.now
-
-    @property
-    def answer(self) -> tuple[bool, str]:
-        last = self.last(Answer)
-        return last.accepted, last.message
-
-    @property
-    def faults(self) -> list[tuple[str, str]]:
-        return [(fault.code, fault.source) for fault in self.snapshot.faults]
-
-    @property
-    def epoch(self) -> int:
-        return self.core.modes.epoch
-
-    def do(self, event: Any) -> None:
-        for action in self.core.step(event, self.now):
-            match action:
-                case ToClient():
-                    self.heard.append((action.client, action.message))
-                case Notify():
-                    self.notified.append(action.text)
-                case Log():
-                    self.logged.append((action.level, action.text))
-                    self.fields.append(action.fields)
-
     def send(self, message: Any, client: ClientId = PLANNER) -> None:
-        self.do(FromClient(client, message))
+        raise NotImplementedError
 
     def connect(self, client: ClientId = PLANNER, role: str = "planner") -> None:
         self.send(Hello(VERSION, role, "small"), client)
-        self.alive |= client == PLANNER
-
-    def gone(self, client: ClientId = PLANNER) -> None:
-        self.alive = False
-        self.do(ClientGone(client))
-
-    def go(self, seconds: float = TICK) -> None:
-        for _ in range(max(round(seconds / TICK), 1)):
-            self.agenda.run(TICK)
-            if self.alive:
-                self.send(Alive())
-            self.do(ExecutorTick())
 
     def program(self, *states: int, step: float = 0.2, final: bool = True, **fields: Any) -> Program:
-        """Sends a program whose stages each have a mark."""
+        """Returns a program whose stages each have a mark."""
         self.programs += 1
         stages = tuple(
             Stage(pack(bits, SIZE), at=step * k, mark=k, settled=step * k + TRAVEL + TICK)
@@ -165,6 +127,7 @@ class Rig:
             name=given["name"],
             context=given["context"],
             homed=pack(given["homed"], SIZE) if "homed" in given else b"",
+            until=given.get("until", 1e12),
         )
 
     def run(self, *states: int, **fields: Any) -> Program:
@@ -186,10 +149,10 @@ class Rig:
             )
         )
 
-    def of(self, kind: type[T], client: ClientId = PLANNER) -> list[T]:
-        return [message for receiver, message in self.heard if isinstance(message, kind) and receiver == client]
+    def of(self, kind: type[T], client: ClientId | None = PLANNER) -> list[T]:
+        return [said for _, receiver, said in self.heard if isinstance(said, kind) and client in (None, receiver)]
 
-    def last(self, kind: type[T], client: ClientId = PLANNER) -> T:
+    def last(self, kind: type[T], client: ClientId | None = PLANNER) -> T:
         return self.of(kind, client)[-1]
 
     @property
@@ -197,8 +160,18 @@ class Rig:
         return self.last(Snapshot)
 
     @property
-    def diagnostics(self) -> list[Diagnostics]:
-        return self.of(Diagnostics)
+    def states(self) -> int:
+        """The commanded states, as the planner sees them."""
+        return unpack(self.snapshot.outputs)
+
+    @property
+    def answer(self) -> tuple[bool, str]:
+        last = self.last(Answer)
+        return last.accepted, last.message
+
+    @property
+    def faults(self) -> list[tuple[str, str]]:
+        return [(fault.code, fault.source) for fault in self.snapshot.faults]
 
     @property
     def results(self) -> list[tuple[int, str]]:
@@ -209,13 +182,8 @@ class Rig:
         return [settled.mark for settled in self.of(Settled)]
 
     @property
-    def switched(self) -> list[int]:
-        return [states for _, states in self.master.commits]
-
-    @property
-    def states(self) -> int:
-        """The commanded states, as the planner sees them."""
-        return unpack(self.snapshot.outputs)
+    def epoch(self) -> int:
+        return self.core.modes.epoch
 
     @property
     def mode(self) -> str:
@@ -225,8 +193,144 @@ class Rig:
     def reason(self) -> str:
         return self.core.modes.reason
 
+
+class Rig(Played):
+    """The executor's core on a master without boards; `go` advances the time while the planner is alive."""
+
+    def __init__(self, **fields: Any) -> None:
+        super().__init__()
+        self.agenda = Agenda()
+        self.arm = small_arm(**fields)
+        self.journal = SwitchJournal(SIZE)
+        self.core = Executor(self.arm, self.journal, instance=7, watchdog=0.4, build_master=FakeMaster)
+        self.master: FakeMaster = self.core.master
+        self.notified: list[str] = []
+        self.fields: list[Mapping[str, str]] = []  # of the same lines as `logged`, for the journal
+        self.alive = False
+
+    @property
+    def now(self) -> float:
+        return self.agenda.now
+
+    def do(self, event: Any) -> None:
+        for action in self.core.step(event, self.now):
+            match action:
+                case ToClient():
+                    self.heard.append((self.now, action.client, action.message))
+                case Notify():
+                    self.notified.append(action.text)
+                case Log():
+                    self.logged.append((action.level, action.text))
+                    self.fields.append(action.fields)
+
+    def send(self, message: Any, client: ClientId = PLANNER) -> None:
+        self.do(FromClient(client, message))
+
+    def connect(self, client: ClientId = PLANNER, role: str = "planner") -> None:
+        super().connect(client, role)
+        self.alive |= client == PLANNER
+
+    def gone(self, client: ClientId = PLANNER) -> None:
+        self.alive &= client != PLANNER
+        self.do(ClientGone(client))
+
+    def go(self, seconds: float = TICK) -> None:
+        for _ in range(max(round(seconds / TICK), 1)):
+            self.agenda.run(TICK)
+            if self.alive:
+                self.send(Alive())
+            self.do(ExecutorTick())
+
+    @property
+    def switched(self) -> list[int]:
+        return [states for _, states in self.master.commits]
+
     def errors(self) -> Iterable[str]:
         return [text for level, text in self.logged if level >= logging.ERROR]
+
+
+class World(Played, Hardware, Witness):
+    """The executor's process with buses and boards, and a planner that keeps itself alive.
+
+    Attributes:
+        core: of the present process, or of the last one.
+        syncs: times at which SYNCs were handed out [s].
+    """
+
+    def __init__(self, variants: Mapping[str, Variant] | None = None, **fields: Any) -> None:
+        Played.__init__(self)
+        self.arm = small_arm(**fields)
+        Hardware.__init__(self, self.arm.wiring, self.arm.timing, self._to_executor, variants)
+        self.syncs: list[float] = []
+        self.ended = False
+        self.executor = ExecutorProcess(self.arm, self.agenda, Random(0), self.buses, self)
+        self.executor.connect(self._hear, lambda: None)
+        self.executor.start()
+        self.connect()
+        self._keep_alive()
+
+    def send(self, message: Any, client: ClientId = PLANNER) -> None:
+        """Sends a message, which the executor takes at once."""
+        self.executor.hear(client, FromClient(client, message))
+        self.agenda.run(WAKE_UP)
+
+    def leave(self) -> None:
+        self.executor.hear(PLANNER, ClientGone(PLANNER))
+        self.agenda.run(WAKE_UP)
+
+    def do(self, event: Event) -> None:
+        """Gives the executor an event, which it takes at once."""
+        self.executor.post(event)
+        self.agenda.run(WAKE_UP)
+
+    def go(self, seconds: float, each: Callable[[], None] | None = None) -> None:
+        """Runs for a time [s]; calls a function each millisecond."""
+        for _ in range(round(seconds / STEP) if each else 1):
+            self.agenda.run(STEP if each else seconds)
+            if each:
+                each()
+
+    def _keep_alive(self) -> None:
+        if self.has_planner:
+            self.executor.hear(PLANNER, FromClient(PLANNER, Alive()))
+        self.agenda.after(TICK, self._keep_alive)
+
+    @property
+    def has_planner(self) -> bool:
+        return self.executor.core is not None and self.core.clients.planner is not None
+
+    @property
+    def journal(self) -> SwitchJournal:
+        return self.executor.journal
+
+    @property
+    def driven(self) -> int:
+        """The states that the boards' outputs command."""
+        return sum(end << k for k, end in enumerate(self.boards.drives()))
+
+    @property
+    def positions(self) -> int:
+        return sum(round(position) << k for k, position in enumerate(self.boards.positions()))
+
+    def started(self) -> None:
+        assert self.executor.core is not None
+        self.core = self.executor.core
+
+    def killed(self) -> None:
+        self.ended = True
+
+    def sends(self, bus: str, frame: cia301.Frame) -> None:
+        if frame.id == cia301.SYNC:
+            self.syncs.append(self.now)
+
+    def logs(self, level: int, text: str) -> None:
+        self.logged.append((level, text))
+
+    def _hear(self, client: ClientId, message: Any) -> None:
+        self.heard.append((self.now, client, message))
+
+    def _to_executor(self, event: Event) -> None:
+        self.executor.post(event)
 
 
 def ready(**fields: Any) -> Rig:
@@ -237,3 +341,10 @@ def ready(**fields: Any) -> Rig:
     assert rig.mode == "ready", rig.reason
     rig.go(TRAVEL)
     return rig
+
+
+def ready_world(**fields: Any) -> World:
+    world = World(**fields)
+    world.go(2.0)
+    assert world.mode == "ready", world.logged
+    return world

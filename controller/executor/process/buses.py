@@ -32,19 +32,19 @@ class CanBuses:
         self._next_try = 0.0
         self._waiting: deque[Event] = deque()
 
-    def listen(self, heartbeat: float) -> None:
+    def listen(self, heartbeat: float, least: float = LISTEN, apart: float = APART) -> None:
         """Listens for another master; blocks, so call it before the loop. Other frames are dropped.
 
-        `heartbeat`: the own period [s]. Raises BusError if another master sends its heartbeat, or if another process of
+        `heartbeat`: the own period [s]; `least`: time to listen [s]; `apart`: see `APART`. Raises BusError if another master sends its heartbeat, or if another process of
         this computer owns an interface.
         """
-        until = time.monotonic() + max(LISTEN, PERIODS * heartbeat)
+        until = time.monotonic() + max(least, PERIODS * heartbeat)
         first: dict[str, float] = {}  # time of the first heartbeat, by bus
         while (now := time.monotonic()) < until:
             for event in self.poll(now):
                 if not isinstance(event, FrameEchoed | FrameReceived):
                     self._waiting.append(event)
-                elif event.frame == MASTER_BEAT and now - first.setdefault(event.bus, now) > APART:
+                elif event.frame == MASTER_BEAT and now - first.setdefault(event.bus, now) > apart:
                     raise BusError(
                         f"{event.bus}: another executor is on this bus (the heartbeat of node {MASTER}): stop it first,"
                         " only one may switch the boards of a bus"

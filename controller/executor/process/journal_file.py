@@ -46,9 +46,16 @@ class FileJournal(SwitchJournal):
         actuators: labels (A,); counts of other actuators are not read.
         memory: file in memory, empty or of an earlier process; None: one in /dev/shm, which `close` removes. FileInUse
             is raised if another process uses it.
+        last_copy: longest time to wait for the last copy of an earlier executor [s].
     """
 
-    def __init__(self, path: Path, actuators: Sequence[str], memory: IO[bytes] | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        actuators: Sequence[str],
+        memory: IO[bytes] | None = None,
+        last_copy: float = LAST_COPY,
+    ) -> None:
         super().__init__(len(actuators))
         self._path, self._labels, self.number = path, zlib.crc32("\n".join(actuators).encode()), 0
         self._octets = (len(actuators) + 7) // 8
@@ -60,7 +67,7 @@ class FileJournal(SwitchJournal):
         self._shared = None
         if memory is None:
             self._shared = shared_path(path)
-            number = lock_file(self._shared, f"the switch journal {path} is in use by process", LAST_COPY)
+            number = lock_file(self._shared, f"the switch journal {path} is in use by process", last_copy)
             memory = os.fdopen(number, "r+b", buffering=0)
         self.memory = memory
         os.posix_fallocate(memory.fileno(), 0, length)  # no SIGBUS when the memory is full

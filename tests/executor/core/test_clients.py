@@ -1,13 +1,17 @@
 """Clients: who is accepted, what they are sent, and results until they are acknowledged."""
 
+import logging
+
 import pytest
 
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import Executor
-from hyperbit.controller.executor.core.events import ExecutorTick
+from hyperbit.controller.executor.core.events import ExecutorTick, Health
+from hyperbit.controller.executor.core.reports import SNAPSHOT_EVERY
 from hyperbit.controller.host.process import Notify, Quit
 from hyperbit.controller.program import (
     MOST_BYTES,
+    TICK,
     VERSION,
     Acknowledge,
     Alive,
@@ -17,6 +21,7 @@ from hyperbit.controller.program import (
     Counts,
     Declined,
     Ended,
+    Fault,
     Goodbye,
     Hello,
     PlayableFaults,
@@ -27,33 +32,32 @@ from hyperbit.controller.program import (
     Welcome,
     encode,
 )
-from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.faults import ArmFault, board_error, left_operational, remedy
 from hyperbit.drivers.canopen.sdo.errors import Errors
 from tests.executor.fake_master import FakeMaster
-from tests.executor.rig import OPERATOR, OTHER, SIZE, Rig, small_arm
-
-A, B = 0b000111, 0b011100
+from tests.executor.rig import OPERATOR, OTHER, PLANNER, SIZE, A, B, Rig, small_arm
 
 
-def test_a_planner_is_greeted_and_a_second_hears_who_is_there(rig: Rig) -> None:
+def test_a_planner_is_greeted_and_others_hear_why_not(rig: Rig) -> None:
     assert rig.last(Welcome) == Welcome(VERSION, "small", "d" * 64, 7, (0,) * SIZE, 0)
+    assert rig.core.clients.planner == PLANNER
     rig.connect(OTHER)
     assert rig.last(Goodbye, OTHER).reason == "a planner is connected already, process 4001; only one may drive the arm"
+    for first in (Hello(VERSION + 1, "planner", "small"), Hello(VERSION, "planner", "other"), Alive(), Stop(1)):
+        rig.heard.clear()
+        rig.send(first, OTHER)
+        assert rig.last(Goodbye, OTHER).reason
+        assert rig.mode == "ready"
     rig.gone()
     rig.connect(OTHER)
     assert rig.of(Welcome, OTHER)
 
 
-@pytest.mark.parametrize(
-    "hello", [Hello(VERSION + 1, "planner", "small"), Hello(VERSION, "planner", "other"), Alive(), Stop(1)]
-)
-def test_who_does_not_belong_here_hears_why(rig: Rig, hello: object) -> None:
-    rig.send(hello, OTHER)
-    assert rig.last(Goodbye, OTHER).reason
-    assert rig.mode == "ready"
-
-
-def test_an_operator_may_halt_and_nothing_else(rig: Rig) -> None:
+def test_an_operator_may_halt_and_nothing_else_and_its_end_begins_no_epoch(rig: Rig) -> None:
+    before = rig.epoch
+    rig.connect(OPERATOR, "operator")
+    rig.gone(OPERATOR)
+    assert rig.epoch == before
     rig.run(A, B)
     rig.connect(OPERATOR, "operator")
     rig.send(Stop(5), OPERATOR)
@@ -83,18 +87,8 @@ def test_results_are_sent_again_until_they_are_acknowledged(rig: Rig) -> None:
     assert rig.of(Ended) == []
 
 
-def test_a_silent_planner_ends_its_program_once_and_may_speak_again(rig: Rig) -> None:
-    rig.run(0, A, step=10.0)
-    rig.alive = False
-    rig.go(1.5)
-    assert (rig.mode, rig.results) == ("ready", [(1, "aborted")])
-    rig.run(A)
-    rig.go(0.2)
-    assert rig.results[-1] == (2, "done")
-
-
 @pytest.mark.parametrize("dies", [False, True])
-def test_what_a_planner_sent_before_it_fell_silent_moves_nothing(rig: Rig, dies: bool) -> None:
+def test_what_a_planner_sent_before_it_was_lost_moves_nothing(rig: Rig, dies: bool) -> None:
     """Also where nothing runs: it was planned before, and still lies in the socket."""
     before = rig.snapshot.epoch
     if dies:
@@ -110,48 +104,49 @@ def test_what_a_planner_sent_before_it_fell_silent_moves_nothing(rig: Rig, dies:
     assert (rig.switched, rig.mode, rig.snapshot.epoch) == ([], "ready", before + 1)
     rig.run(A)
     rig.go(0.2)
-    assert rig.results == [(2, "done")]
+    assert rig.results == [(2, "done")], "it may speak again"
 
 
-def test_the_end_of_an_operator_begins_no_epoch(rig: Rig) -> None:
-    before = rig.snapshot.epoch
-    rig.connect(OPERATOR, "operator")
-    rig.gone(OPERATOR)
-    rig.alive = True
-    rig.go()
-    assert rig.snapshot.epoch == before
-
-
-def test_the_greater_counts_hold(rig: Rig) -> None:
+def test_counts_are_sent_before_each_result_and_at_the_end_and_the_greater_ones_hold(rig: Rig) -> None:
+    rig.run(A)
+    rig.go(0.3)
+    heard = [message for _, _, message in rig.heard]
+    assert heard[heard.index(rig.last(Ended)) - 1] == Counted((1, 1, 1, 0, 0, 0))
     rig.send(Counts((5, 0, 0, 0, 0, 7)))
     rig.send(Counts((1,)))
-    rig.run(A)
-    rig.go(0.3)
-    assert rig.journal.counts == [6, 1, 1, 0, 0, 7]
-
-
-def test_the_planner_hears_the_counts_before_each_result_and_at_the_end(rig: Rig) -> None:
-    rig.run(A)
-    rig.go(0.3)
-    heard = [message for _, message in rig.heard]
-    at = heard.index(rig.last(Ended))
-    assert heard[at - 1] == Counted((1, 1, 1, 0, 0, 0))
     rig.follow(9, 0)
     rig.go(0.1)
     rig.do(Quit())
     rig.heard.clear()
     rig.do(Quit())
-    assert rig.of(Counted) == [Counted((2, 2, 2, 0, 0, 0))]
+    assert rig.of(Counted) == [Counted((6, 2, 2, 0, 0, 7))]
 
 
 def test_snapshots_come_20_times_a_second_and_on_change_and_diagnostics_every_second(rig: Rig) -> None:
     rig.heard.clear()
     rig.go(1)
     assert 19 <= len(rig.of(Snapshot)) <= 21
-    assert len(rig.diagnostics) == 1
+    assert len([said for _, _, said in rig.heard if type(said).__name__ == "Diagnostics"]) == 1
     rig.heard.clear()
     rig.send(Stop(1))
-    assert [type(message) for _, message in rig.heard] == [Answer, Snapshot]
+    assert [type(message) for _, _, message in rig.heard] == [Answer, Snapshot]
+
+
+def test_no_snapshot_is_sent_between_the_rpdos_of_a_commit_and_its_sync(rig: Rig) -> None:
+    rig.master.slow_rpdos = True
+    shown = len(rig.of(Snapshot))
+    rig.run(A)
+    assert len(rig.of(Snapshot)) == shown
+    rig.master.slow_rpdos = False
+    rig.go(SNAPSHOT_EVERY + TICK)
+    assert len(rig.of(Snapshot)) > shown
+
+
+def test_a_journal_that_cannot_be_written_is_a_warning_until_it_can(rig: Rig) -> None:
+    rig.do(Health({}, 0, "the disk is full"))
+    assert rig.snapshot.faults == (Fault("journal", "executor", "the disk is full"),)
+    rig.do(Health({}, 0, None))
+    assert rig.snapshot.faults == ()
 
 
 def test_a_snapshot_fits_a_message_whatever_is_wrong(rig: Rig) -> None:
@@ -163,12 +158,18 @@ def test_a_snapshot_fits_a_message_whatever_is_wrong(rig: Rig) -> None:
     assert rig.mode == "fault"
 
 
-def test_systemd_is_told_that_the_boards_are_simulated() -> None:
-    core = Executor(
-        small_arm(), SwitchJournal(SIZE), instance=7, simulation=PlayableFaults((), (), (), ()), build_master=FakeMaster
-    )
-    notified = [action.text for action in core.step(ExecutorTick(), 0.0) if isinstance(action, Notify)]
-    assert "STATUS=starting (simulated): the boards are being booted" in notified
+@pytest.mark.parametrize("board", ["can0/5", f"{'b' * 64}/126"])
+def test_the_longest_sentences_on_boards_keep_their_beginning_and_their_remedy(rig: Rig, board: str) -> None:
+    errors = Errors(0xFF, (0x8130,) * 254, complete=False)
+    stopped = left_operational(board, "without a command and is pre-operational")
+    rig.master.fail(board_error(board, errors.words(0x2340)))
+    rig.master.fail(ArmFault("board-stopped", board, stopped))
+    rig.go()
+    assert len(rig.snapshot.faults) == 2
+    for fault in rig.snapshot.faults:
+        assert len(fault.message) <= 300
+        assert fault.message.startswith(f"board {board} ")
+        assert fault.message.endswith(remedy(board))
 
 
 def test_systemd_gets_the_state_and_only_good_ticks_feed_the_watchdog(rig: Rig) -> None:
@@ -181,6 +182,10 @@ def test_systemd_gets_the_state_and_only_good_ticks_feed_the_watchdog(rig: Rig) 
     rig.notified.clear()
     rig.go(1)
     assert "WATCHDOG=1" not in rig.notified
+    simulation = PlayableFaults((), (), (), ())
+    core = Executor(small_arm(), SwitchJournal(SIZE), instance=7, simulation=simulation, build_master=FakeMaster)
+    notified = [action.text for action in core.step(ExecutorTick(), 0.0) if isinstance(action, Notify)]
+    assert "STATUS=starting (simulated): the boards are being booted" in notified
 
 
 def test_an_operator_reads_the_errors_of_a_board(rig: Rig) -> None:
@@ -200,3 +205,31 @@ def test_an_operator_reads_the_errors_of_a_board(rig: Rig) -> None:
     rig.master.told_errors = [(0, ArmFault("board-missing", "can0/1", "it does not answer"))]
     rig.go()
     assert len(rig.of(BoardErrors, OPERATOR)) == 2
+
+
+def test_lines_on_modes_and_faults_have_fields_for_the_journal_and_limits_of_boards_are_told(rig: Rig) -> None:
+    rig.master.fail(ArmFault("emergency", "can0/3", "short circuit"))
+    rig.go()
+    fields = {text: it for (_, text), it in zip(rig.logged, rig.fields, strict=True)}
+    fault, mode = fields["emergency: short circuit"], fields["fault: short circuit"]
+    assert (fault["HYPERBIT_FAULT"], fault["HYPERBIT_BUS"], fault["HYPERBIT_BOARD"]) == ("emergency", "can0", "3")
+    assert mode["HYPERBIT_MODE"] == "fault"
+    assert fault["MESSAGE_ID"] != mode["MESSAGE_ID"]
+    rig.master.limits = (ArmFault("board-limits", "can0/5", "board can0/5: RPDO1 refuses to wait for SYNC"),)
+    rig.send(Reset(2, rig.epoch))
+    rig.go(3 * TICK)
+    assert rig.mode == "ready"
+    assert (logging.WARNING, "board-limits: board can0/5: RPDO1 refuses to wait for SYNC") in rig.logged
+
+
+def test_a_warning_at_start_and_end_says_that_the_boards_will_contract() -> None:
+    told = "when the executor has ended, the boards contract all 6 actuators (on_loss: contract)"
+    for fields in ({}, {"channel": {"output_off": True}, "sensed": 0}):
+        rig = Rig(on_loss="contract", **fields)
+        rig.go()
+        rig.do(Quit())
+        assert [text for level, text in rig.logged if level == logging.WARNING] == [told, told]
+    rig = Rig()
+    rig.go()
+    rig.do(Quit())
+    assert logging.WARNING not in [level for level, _ in rig.logged]

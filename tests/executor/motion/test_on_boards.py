@@ -1,147 +1,124 @@
-"""The executor on the real CANopen master and simulated boards, on a simulated clock."""
+"""The executor on simulated boards: supplies, lost frames, errors that waited, and travel times."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import pytest
 
-from hyperbit.controller.executor.core.events import FromClient
-from hyperbit.controller.host.process import Quit
+from hyperbit.controller.executor.arm.kinds import Ends
+from hyperbit.controller.executor.motion.readings import TravelTimes
 from hyperbit.controller.program import (
-    TICK,
-    Accepted,
-    Begun,
+    Answer,
     BoardErrors,
     Diagnostics,
     Ended,
     ReadErrors,
     Reset,
-    Settled,
     Snapshot,
-    Stop,
+    Travel,
     unpack,
 )
-from tests.executor.rig import PLANNER, SIZE, TRAVEL
-from tests.executor.world import STEP, A, B, World, ready
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wiring import BoardId, Interlock, WatchedObject
+from hyperbit.drivers.simulation.buses import LEAST_PULSE
+from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS
+from tests.executor.rig import ALL, STEP, A, B, World, ready_world
+
+SUPPLY = Interlock("supply", "can0", 2, 0, watched=WatchedObject(0x2102, 0))
+BISTABLE: dict[str, Any] = {"output_off": True, "pulse": 0.05}
+BOTH = {"input_contracted": True}
 
 
-@pytest.fixture
-def world() -> World:
-    return ready()
-
-
-def test_a_program_moves_the_actuators_and_its_sync_leaves_with_its_message(world: World) -> None:
-    world.go(STEP)
-    world.run(1, A, B)
-    world.go(STEP)
-    assert len(world.syncs) == 1, "without waiting for a tick"
-    assert world.of(Accepted)
-    world.go(0.6)
-    assert [(m.mark, m.switches, unpack(m.measured)) for m in world.of(Settled)] == [(0, 3, A), (1, 7, B)]
-    assert [m.stage for m in world.of(Begun)] == [0, 1]
-    assert world.last(Ended).status == "done"
-    assert world.boards.drives() == [B >> k & 1 for k in range(SIZE)]
-    assert world.journal.counts == world.boards.switches()
-
-
-def test_an_actuator_that_sticks_is_found_and_reset_goes_on_with_it_released(world: World) -> None:
-    world.fault("stick", "1.left", 0)
-    world.run(1, A)
-    world.go(0.3)
-    assert (world.mode, world.last(Ended).status) == ("fault", "aborted")
-    assert [fault.code for fault in world.last(Snapshot).faults] == ["stuck"]
-    world.fault("release", "1.left")
-    world.go(0.5)
-    world.send(Reset(1, world.epoch))
+@pytest.mark.parametrize(
+    ("variant", "channel", "lost"),
+    [
+        ("valve-supply", {}, "moving"),
+        ("valve-supply", BISTABLE, "at the boot"),
+        ("mapped-supply", BISTABLE, "moving"),
+        ("mapped-supply", {}, "at rest"),
+    ],
+)
+def test_a_supply_that_returns_moves_nothing_before_reset_and_a_goal(
+    variant: str, channel: dict[str, Any], lost: str
+) -> None:
+    world = World({"can0/2": VARIANTS[variant]}, interlocks=(SUPPLY,), channel=channel)
+    if lost == "at the boot":
+        world.fault("open", "supply")
     world.go(2.0)
-    assert world.mode == "ready", world.logged
-    world.run(2, 0)
-    world.go(0.3)
-    assert world.last(Ended).status == "done"
-    assert world.journal.counts == world.boards.switches()
-
-
-def test_one_toggled_at_every_transition_that_sticks_is_found(world: World) -> None:
-    world.fault("stick", "1.left", 0)
-    number = 0
-    while world.mode != "fault" and number < 30:
-        number += 1
-        world.run(number, unpack(world.last(Snapshot).outputs) ^ 1)
-        world.go(TRAVEL + TICK)
-    assert number < 10
-    assert "missed 3 commands" in world.core.modes.reason
-
-
-def test_the_fault_of_a_lost_board_clears_when_the_board_is_back(world: World) -> None:
-    world.run(1, A, B, step=5.0)
-    world.go(0.1)
-    world.fault("silence", "can0/2")
+    if lost != "at the boot":
+        world.run(A, B, A, B, step=0.4)
+        world.go(0.3 if lost == "moving" else 3.0)
+        world.fault("open", "supply")
+        world.go(1.0)
+    assert world.mode == "fault"
+    assert "interlock supply (can0/2 2102h sub 0 bit 0) is open" in world.snapshot.reason
+    begun = len(world.syncs), world.boards.switches()
+    assert lost != "moving" or begun[0] <= (4 if channel else 2), "no further stage begins"
+    world.send(Reset(1, world.epoch))
     world.go(1.0)
-    assert (world.mode, world.last(Ended).status) == ("fault", "aborted")
-    world.fault("unsilence", "can0/2")
-    world.go(4.0)
-    assert world.mode == "ready", world.logged
-    assert world.last(Snapshot).faults == ()
-    world.go(1.0)
-    assert len(world.syncs) == 1, "nothing moves by itself"
-
-
-def test_a_halted_executor_lets_the_boards_hold_and_acts_on_nothing_old(world: World) -> None:
-    world.run(1, A, B, step=1.0)
-    world.go(0.1)
-    world.executor.stall(3.0)
+    assert not world.last(Answer).accepted
+    world.fault("close", "supply")
     world.go(3.0)
-    world.run(2, B)
-    world.go(0.1)
-    assert (world.mode, len(world.syncs)) == ("fault", 1)
+    assert (world.mode, len(world.syncs), world.boards.switches()) == ("fault", *begun)
+    world.send(Reset(2, world.epoch))
+    world.go(1.0)
+    assert (world.mode, len(world.syncs), world.boards.switches()) == ("ready", *begun)
+    world.run(A)
+    world.go(2.0)
+    assert (world.last(Ended).status, world.positions) == ("done", A)
+
+
+def test_a_board_that_comes_back_without_the_object_of_an_interlock_stays_refused() -> None:
+    world = ready_world(variants={"can0/2": VARIANTS["valve-supply"]}, interlocks=(SUPPLY,))
+    world.boards.board("can0/2").objects.refused[SUPPLY.watched] = 0x0602_0000
+    world.fault("power_cut", "can0/2")
+    world.fault("power_on", "can0/2")
+    world.go(1.0)
+    world.send(Reset(1, world.epoch))
+    world.go(4.0)
+    assert world.mode == "fault"
+    assert "can0/2 has no 2102h sub 0; an interlock" in world.snapshot.reason
+
+
+@pytest.mark.parametrize("board", [BoardId("can0", 9), BoardId("can1", 1)], ids=str)
+def test_a_lost_message_of_end_stops_is_made_good_by_a_question_to_their_board(board: BoardId) -> None:
+    world = ready_world(input_board=board, channel=BOTH)
+    lost: list[Frame] = []
+
+    def lossy(bus: str, frame: Frame) -> bool:
+        if (bus, frame.id) == (board.bus, 0x180 + board.node):
+            lost.append(frame)
+        return frame in lost
+
+    world.lost = lossy
+    world.run(A)
+    world.go(1.0)
+    assert lost
+    assert (world.mode, world.last(Ended).status) == ("ready", "done"), world.logged
+    assert unpack(world.snapshot.measured) == A
 
 
 @pytest.mark.parametrize("code", ["8130", "2320", "8120"])
-def test_frames_that_waited_during_a_stall_are_no_fault_after_a_reset(world: World, code: str) -> None:
+def test_errors_that_came_and_went_during_a_stall_are_no_fault_after_a_reset(code: str) -> None:
+    world = ready_world()
     world.executor.stall(3.0)
+    world.send(Reset(1, world.epoch + 1))  # of the stall's fault
     world.go(1.5)
     world.fault("error", "can0/1", code)
     world.go(1.5 - STEP)
     world.fault("error_over", "can0/1", code)
-    world.executor._events.appendleft(FromClient(PLANNER, Reset(1, world.epoch + 1)))  # of the stall's fault
     world.go(1.0)
-    assert world.mode == "ready", world.logged
-    assert world.last(Snapshot).faults == ()
+    assert (world.mode, world.snapshot.faults) == ("ready", ()), world.logged
 
 
-def test_halt_and_end(world: World) -> None:
-    world.run(1, A, B)
-    world.send(Stop(1))
-    assert world.mode == "stopped"
-    world.post(Quit())
-    assert world.ended
-    assert len(world.of(Ended)) == 1
-
-
-def test_diagnostics_tell_of_buses_and_boards(world: World) -> None:
-    world.go(1.1)
+def test_errors_of_a_board_are_read_in_motion_and_in_fault_and_add_none() -> None:
+    world = ready_world()
     diagnostics = world.last(Diagnostics)
     assert [bus["name"] for bus in diagnostics.buses] == ["can0"]
     assert {board["state"] for board in diagnostics.boards} == {"operational"}
-
-
-@pytest.mark.parametrize("sensed", [0, 0b111111])
-def test_a_restarted_executor_adopts_the_present_states(sensed: int) -> None:
-    world = ready(sensed=sensed)
-    world.run(1, A)
-    world.go(0.2)
-    world.executor.kill()
-    world.heard.clear()
-    world.syncs.clear()
-    world.executor.start()
-    world.connect()
-    world.go(2.0)
-    assert world.mode == "ready", world.logged
-    assert unpack(world.last(Snapshot).outputs) == A
-    assert world.syncs == []
-
-
-def test_errors_of_a_board_are_read_in_motion_and_in_fault_and_add_none(world: World) -> None:
-    world.run(1, A, B, A)
+    world.run(A, B, A)
     world.send(ReadErrors(7, "can0/1"))
     world.go(1.0)
     assert world.last(BoardErrors) == BoardErrors(7, "", 0, ())
@@ -153,3 +130,56 @@ def test_errors_of_a_board_are_read_in_motion_and_in_fault_and_add_none(world: W
         world.send(ReadErrors(request, "can0/1"))
         world.go(0.5)
         assert world.last(BoardErrors) == BoardErrors(request, "", 0x01, (0x5000,))
+
+
+def test_a_snapshot_in_which_a_board_is_unknown_tells_the_fault() -> None:
+    slow = replace(STANDARD, answer_delay=0.03)
+    world = ready_world(variants={"can0/1": slow}, sensed=0, channel={"output_off": True, "pulse": 0.02})
+    world.run(ALL)  # each pulse is over before it is read back; the third one is a fault
+    world.go(3.0)
+    assert [code for code, _ in world.faults] == ["not-verified"]
+    without = [told for told in world.of(Snapshot) if ALL & ~(unpack(told.known) | unpack(told.homing))]
+    assert {told.mode for told in without} <= {"starting", "fault"}
+
+
+def travels(world: World) -> list[tuple[int, int, float]]:
+    assert world.last(Ended).status == "done"
+    return [(t.actuator, t.state, t.seconds) for t in world.last(Ended).travels]
+
+
+@pytest.mark.parametrize("channel", [{}, {"output_off": True}, BISTABLE])
+def test_each_way_of_each_actuator_is_measured_also_by_an_executor_that_reads_late(channel: dict[str, Any]) -> None:
+    contract, extend = 0.04, 0.12  # half of the greatest [s]
+    world = ready_world(channel={**BOTH, **channel, "travel": (2 * contract, 2 * extend)})
+    valve = LEAST_PULSE if "output_off" in channel else 0.0
+    for k in range(6):
+        for state, seconds in ((1, extend), (0, contract)):
+            world.run(state << k)
+            world.go(STEP)
+            world.executor.stall(0.07 * (k == 5))
+            world.go(0.5)
+            assert travels(world) == [(k, state, pytest.approx(seconds + valve, rel=0.1))]
+
+
+def test_slow_ways_are_measured_and_ways_to_an_end_without_end_stop_are_not() -> None:
+    world = ready_world(channel={"travel": (0.1, 0.1)})
+    world.fault("slow", "1.left", 1.6)
+    world.run(1)
+    world.go(0.5)
+    assert travels(world) == [(0, 1, pytest.approx(0.08, rel=0.1))]
+    world.run(0)
+    world.go(0.5)
+    assert travels(world) == []
+
+
+def test_a_way_whose_frames_tell_no_time_is_not_measured_and_one_called_back_is_measured_anew() -> None:
+    times = TravelTimes()
+    for begun, ended in ((None, 2.0), (1.0, None)):
+        times.begin(0b1, 0b1, Ends(0, 0b1), begun)
+        assert times.drain_arrived(Ends(0b1, 0), ended) == []
+        assert not any(times.travelling)
+    times.begin(0b1, 0b1, Ends(0, 0b1), 1.0)
+    times.begin(0b1, 0b0, Ends(0, 0), 1.1)
+    assert times.drain_arrived(Ends(0, 0), 1.15) == []
+    assert times.drain_arrived(Ends(0, 0b1), 1.2) == [Travel(0, 0, pytest.approx(0.1))]
+    assert not any(times.travelling)

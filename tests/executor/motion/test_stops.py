@@ -1,206 +1,162 @@
-"""Stop and cancel while a commit runs: what is given up, when the request is answered, and what the answer tells."""
+"""Ends of motion at each moment of a commit, on simulated boards with frames that leave late."""
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 
-from hyperbit.controller.executor.motion.actuation import BUSY_FOR
 from hyperbit.controller.host.process import Quit
-from hyperbit.controller.program import TICK, Answer, Cancel, Ended, Reset, Stop
-from hyperbit.drivers.canopen.faults import ArmFault
-from tests.executor.rig import CAN, OPERATOR, TRAVEL, Rig, ready
+from hyperbit.controller.program import Accepted, Answer, Cancel, Ended, Reset, Stop
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wiring import Interlock
+from hyperbit.drivers.simulation.variants import VARIANTS
+from tests.executor.rig import SIZE, STEP, A, World, ready_world
+from tests.simulation.buses.bus_model import RPDOS
+from tests.simulation.executor.process import WAKE_UP
 
-A, B = 0b000111, 0b011100
-STOPPED, CANCELED = "stopped; the arm holds until reset", "canceled"
-
-
-def answers(rig: Rig) -> list[str]:
-    return [answer.message for answer in rig.of(Answer)]
-
-
-@pytest.mark.parametrize(("request_", "answer"), [(Stop(1), STOPPED), (Cancel(1, None, ""), CANCELED)])
-def test_a_commit_whose_rpdos_wait_is_given_up_at_once(rig: Rig, request_: Stop | Cancel, answer: str) -> None:
-    rig.master.slow_rpdos = True
-    rig.run(A)
-    rig.send(request_)
-    assert (answers(rig), rig.results, rig.last(Ended).switches) == (
-        [answer],
-        [(1, "aborted" if isinstance(request_, Stop) else "canceled")],
-        0,
-    )
-    rig.master.slow_rpdos = False
-    rig.go(0.5)
-    assert (rig.master.left, sum(rig.journal.counts)) == ([], 0)
-
-
-@pytest.mark.parametrize(
-    ("request_", "answer"),
-    [
-        (Stop(1), "stopped; 3 switches were under way; the arm holds until reset"),
-        (Cancel(1, None, ""), "canceled; 3 switches were under way"),
-    ],
-)
-def test_the_answer_waits_for_a_sync_that_was_handed_out(rig: Rig, request_: Stop | Cancel, answer: str) -> None:
-    rig.master.slow_sync = True
-    rig.run(A)
-    rig.send(request_)
-    assert (answers(rig), rig.mode) == ([], "stopped" if isinstance(request_, Stop) else "ready")
-    rig.go(3 * TICK)
-    assert (answers(rig), rig.results) == ([], [])
-    rig.master.leave(rig.now)
-    rig.do(CAN)
-    assert (answers(rig), rig.last(Ended).switches, sum(rig.journal.counts)) == ([answer], 3, 3)
+C = 0b111000
+FAST, SLOW = 1_000_000, 10_000  # [bit/s]; at the slow rate a frame takes 6 to 14 ms
+DOOR = Interlock("door", "can0", 9, 0)
+BOARDS = {
+    "SYNC": {},
+    "no SYNC": {"variants": {"can0/1": VARIANTS["no-sync"], "can0/2": VARIANTS["no-sync"]}},
+    "one without SYNC": {"variants": {"can0/2": VARIANTS["no-sync"]}},
+    "pulses": {"channel": {"output_off": True, "pulse": 0.05}},
+}
+FRAMES = 4  # more than any commit here has: two RPDOs and SYNC
+REQUESTS = {"stop": Stop(9), "cancel": Cancel(9, None, "")}
+OTHERS = ("fault", "interlock", "planner gone", "planner silent", "end")
+# Each moment with each kind of boards, and with a request and another cause in turn.
+MOMENTS = list(itertools.product(BOARDS, range(FRAMES)))
+CASES = [
+    (cause, *moment)
+    for k, moment in enumerate(MOMENTS)
+    for cause in (list(REQUESTS)[(k + k // FRAMES) % 2], OTHERS[k % len(OTHERS)])
+]
 
 
-def test_pulses_that_home_count_as_switches_under_way() -> None:
-    rig = ready(channel={"output_off": True, "pulse": 0.05}, sensed=0)
-    rig.master.slow_sync = True
-    rig.run(0b000001)
-    rig.send(Stop(1))
-    assert answers(rig) == []
-    rig.master.leave(rig.now)
-    rig.do(CAN)
-    assert answers(rig) == ["stopped; 6 switches were under way; the arm holds until reset"]
+def slow_down(world: World) -> None:
+    bus = world.buses["can0"]
+    bus.bitrate, bus.log = SLOW, []
 
 
-def test_a_bus_that_stands_still_does_not_delay_the_answer_for_ever(rig: Rig) -> None:
-    rig.master.slow_sync = True
-    rig.run(A)
-    rig.send(Stop(1))
-    asked = rig.now
-    while not answers(rig):
-        rig.go()
-    assert rig.now - asked <= rig.arm.timing.heartbeat_timeout / 2
-    text = "3 switches were under way, and the bus has not sent 3 of them yet"
-    assert answers(rig) == [f"stopped; {text}; the arm holds until reset"]
+def committing(boards: str, sent: int) -> tuple[World, int]:
+    """Returns a world at A in the middle of its commit of C, after `sent` frames, and its switches before."""
+    world = ready_world(interlocks=(DOOR,), **BOARDS[boards])
+    world.run(A)
+    world.go(0.3)
+    assert (world.last(Ended).status, world.driven) == ("done", A), world.logged
+    before = sum(world.boards.switches())
+    slow_down(world)
+    world.run(C)
+
+    def left() -> int:
+        log = world.buses["can0"].log or ()
+        return sum(frame.id == cia301.SYNC or frame.id & 0x780 in RPDOS for frame in log)
+
+    world.agenda.until(lambda: left() >= sent or not world.core.master.committing)
+    world.go(WAKE_UP)  # the executor gets the last echo
+    return world, before
 
 
-def test_each_stop_is_answered_once(rig: Rig) -> None:
-    rig.master.slow_sync = True
-    rig.run(A)
-    rig.send(Stop(1))
-    rig.send(Stop(2))
-    rig.master.slow_sync = False
-    rig.go(0.5)
-    assert [answer.request for answer in rig.of(Answer)] == [1, 2]
+def end(world: World, cause: str) -> None:
+    match cause:
+        case "stop" | "cancel":
+            world.send(REQUESTS[cause])
+        case "fault" | "interlock":
+            world.fault(*(("error", "can0/1", "2320") if cause == "fault" else ("open", "door")))
+            world.agenda.until(lambda: world.mode == "fault", 0.1)
+        case "planner gone":
+            world.leave()
+        case "planner silent":
+            world.core.lose_planner("the planner is silent")
+        case "end":
+            world.do(Quit())
 
 
-def test_a_stop_is_answered_before_the_executor_ends(rig: Rig) -> None:
-    rig.master.slow_sync = True
-    rig.run(A)
-    rig.send(Stop(1))
-    rig.do(Quit())
-    rig.do(Quit())
-    assert len(answers(rig)) == 1
+def commanded(world: World, boards: str) -> int:
+    """Number of switches; a pulsed actuator follows its coil late, so there the executor's count is taken."""
+    return sum(world.journal.counts) if boards == "pulses" else sum(world.boards.switches())
 
 
-def test_a_reset_boots_when_nothing_is_under_way_any_more() -> None:
-    rig = ready(sensed=0)
-    rig.master.slow_sync = True
-    rig.run(A)
-    rig.send(Stop(1))
-    booted = rig.master.booted
-    rig.send(Reset(2, rig.epoch))
-    rig.go(2 * TICK)
-    assert (rig.master.booted, rig.mode) == (booted, "starting")
-    rig.master.slow_sync = False
-    rig.go(4 * TICK)
-    assert (rig.master.booted, rig.mode) == (booted + 1, "ready")
-    rig.go(TRAVEL)
-    rig.run(B)
-    rig.go(0.3)
-    assert rig.results[-1] == (2, "done")
+@pytest.mark.parametrize(("cause", "boards", "sent"), CASES)
+def test_nothing_switches_after_the_answer_and_frames_that_wait_are_given_up(
+    cause: str, boards: str, sent: int
+) -> None:
+    world, before = committing(boards, sent)
+    asked, given = world.now, commanded(world, boards)
+    end(world, cause)
+    stopped = {"stop": "stopped", "fault": "fault", "interlock": "fault"}.get(cause, "ready")
+    assert world.mode == stopped, "at once"
+    syncs = len(world.syncs)
+    begun = next(at for at, _, message in world.heard if isinstance(message, Accepted) and message.program == 2)
+    handed_out = world.syncs[-1] >= begun
+    answered: list[tuple[int, set[int]]] = []  # switches and coils that are on, from the answer on
+
+    def watch() -> None:
+        if world.of(Answer):
+            on = {2 * k + side for k, pair in enumerate(world.boards.coils()) for side in (0, 1) if pair[side]}
+            answered.append((commanded(world, boards), on))
+
+    world.go(0.3, watch)
+    if not world.has_planner:
+        world.connect()
+    ended = next(ended for ended in world.of(Ended) if ended.program == 2)
+    if cause in REQUESTS:
+        ((at, answer),) = [(at, said) for at, _, said in world.heard if isinstance(said, Answer)]
+        assert at - asked <= world.arm.timing.heartbeat_timeout / 2
+        assert {count for count, _ in answered} == {answered[0][0]}
+        assert all(on <= answered[0][1] for _, on in answered), "a pulse may end, and none may begin"
+        told = {0: "", 3: "; 3 switches were under way", 6: "; 6 switches were under way"}[answered[0][0] - given]
+        assert (
+            answer.message == {"stop": f"stopped{told}; the arm holds until reset", "cancel": f"canceled{told}"}[cause]
+        )
+        assert ended.switches == answered[0][0] - before
+    else:
+        assert ended.status == "aborted"
+        assert ended.switches == sum(world.boards.switches()) - before
+        if "no" not in boards and "without" not in boards:
+            assert ended.switches == (6 if handed_out else 0)
+        if boards != "pulses":  # the end of a pulse needs a SYNC, which moves nothing
+            assert len(world.syncs) == syncs
+    assert world.ended == (cause == "end")
+    if not world.ended:
+        finish(world)
 
 
-def test_a_commit_given_up_is_no_sign_of_a_busy_bus(rig: Rig) -> None:
-    rig.master.slow_rpdos = True
-    rig.run(A)
-    rig.send(Cancel(1, None, ""))
-    rig.master.slow_rpdos = False
-    rig.go(2 * BUSY_FOR)
-    rig.master.busy = True
-    rig.run(B)
-    rig.go(2 * TICK)
-    assert rig.mode == "executing"
-    rig.master.busy = False
-    rig.go(0.3)
-    assert rig.results[-1] == (2, "done")
+def finish(world: World) -> None:
+    """A later goal works, and each switch was counted once."""
+    world.buses["can0"].bitrate = FAST
+    world.fault("close", "door")
+    world.fault("error_over", "can0/1", "2320")
+    world.go(1.0)
+    if world.mode in ("fault", "stopped"):
+        world.send(Reset(99, world.epoch))
+    world.go(1.5)
+    assert world.mode == "ready", world.logged
+    if world.arm.wiring.channels[0].pulse is None:
+        assert world.driven == world.states
+    goal = world.states ^ 0b100001
+    world.run(goal)
+    world.go(0.6)
+    assert (world.last(Ended).status, world.driven) == ("done", goal), world.logged
+    assert world.journal.counts == world.boards.switches()
 
 
-def test_a_client_that_is_gone_gets_no_answer(rig: Rig) -> None:
-    rig.connect(OPERATOR, "operator")
-    rig.master.slow_sync = True
-    rig.run(A)
-    rig.send(Stop(1), OPERATOR)
-    rig.gone(OPERATOR)
-    rig.master.leave(rig.now)
-    rig.do(CAN)
-    assert rig.of(Answer, OPERATOR) == []
-
-
-def test_the_time_of_a_busy_bus_begins_anew_with_the_next_motion(rig: Rig) -> None:
-    rig.master.busy = True
-    rig.run(A)
-    rig.send(Cancel(1, None, ""))
-    rig.go(2 * BUSY_FOR)
-    rig.run(B)
-    rig.go(2 * TICK)
-    assert rig.mode == "executing"
-    rig.send(Cancel(2, None, ""))
-    rig.follow(3, A)
-    rig.follow(3)
-    for _ in range(4):
-        rig.go(BUSY_FOR / 2)
-        rig.follow(3)
-    rig.follow(3, A)
-    rig.go(2 * TICK)
-    assert (rig.mode, rig.switched) == ("executing", [])
-
-
-def test_a_bus_is_busy_for_a_quarter_of_a_second_before_this_is_a_fault(rig: Rig) -> None:
-    rig.master.busy = True
-    actuation = rig.core.motion.actuation
-    for now in (0.0, 0.125, BUSY_FOR):
-        assert not actuation.switch(A, now)
-        assert actuation.fault is None
-    assert not actuation.switch(A, 0.375)
-    assert actuation.fault == ArmFault("bus-busy", "bus", "no command could be sent for 0.25 s: the queue is full")
-
-
-def test_no_sentence_promises_the_safety_of_an_emergency_stop(rig: Rig) -> None:
-    rig.run(A, B)
-    rig.send(Stop(1))
-    assert (rig.last(Ended).message, rig.reason) == (
-        "stopped; the arm holds",
-        "a stop was requested; the arm holds until reset",
-    )
-
-
-def test_cancels_of_one_program_may_share_a_number_and_bar_nothing_else(rig: Rig) -> None:
-    rig.master.slow_sync = True
-    rig.run(A)
-    epoch = rig.snapshot.epoch
-    for program in (2, 1, 1):
-        rig.send(Cancel(0, program, "off its path"))
-    rig.master.slow_sync = False
-    rig.go(2 * TICK)
-    assert {answer.request for answer in rig.of(Answer)} == {0}
-    assert answers(rig) == [
-        "program 2 is not running",
-        "program 1 is not running",
-        "canceled; 3 switches were under way",
-    ]
-    assert (rig.results, rig.last(Ended).message, rig.snapshot.epoch) == ([(1, "canceled")], "off its path", epoch)
-
-
-def test_requests_of_number_zero_that_wait_are_all_answered(rig: Rig) -> None:
-    rig.master.slow_sync = True
-    rig.run(A)
-    for request in (Cancel(0, 1, ""), Cancel(0, None, ""), Stop(0)):
-        rig.send(request)
-    assert answers(rig) == []
-    rig.master.slow_sync = False
-    rig.go(2 * TICK)
-    assert [answer.request for answer in rig.of(Answer)] == [0, 0, 0]
-    rig.send(Reset(0, rig.epoch))
-    assert rig.last(Answer).message == "resetting; the mode will be ready, or fault with the reason"
+@pytest.mark.parametrize("late", range(0, 40, 6))
+def test_a_pulse_that_ends_moves_nothing_of_what_boards_have_latched(late: int) -> None:
+    """The SYNC that ends a pulse comes while boards still hold frames of a commit that was given up."""
+    world = ready_world(interlocks=(DOOR,), **BOARDS["pulses"])
+    world.run(A)
+    world.go(0.6)
+    world.run(A ^ 1, A ^ 1 ^ C, step=late * STEP)
+    world.go(late * STEP)
+    slow_down(world)
+    world.send(Stop(9))
+    world.go(0.1)
+    driven = world.driven
+    world.go(0.5)
+    assert world.driven == driven
+    assert world.boards.coils() == [(0, 0)] * SIZE
+    finish(world)

@@ -4,33 +4,22 @@ import contextlib
 import ctypes
 import os
 import resource
-import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from hyperbit.controller.armfile.settings import RealTimeSettings
-from hyperbit.controller.executor.process import real_time
-from hyperbit.controller.executor.process.real_time import enter_real_time
+from hyperbit.controller.executor.process.real_time import enter_real_time, raise_priority
 from hyperbit.controller.host.scheduling import shorten_slice
 
 
-def in_thread(work: Callable[[], None]) -> None:
-    """Runs a function in a new thread, so that the test's thread keeps its scheduling policy."""
-    failures: list[BaseException] = []
-
-    def guarded() -> None:
-        try:
-            work()
-        except BaseException as error:
-            failures.append(error)
-
-    thread = threading.Thread(target=guarded)
-    thread.start()
-    thread.join()
-    if failures:
-        raise failures[0]
+def in_thread(work: Callable[[], Any]) -> Any:
+    """Calls a function in a new thread, so that the test's thread keeps its scheduling policy."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(work).result()
 
 
 def policy() -> int:
@@ -53,34 +42,35 @@ def test_nothing_is_asked_by_default() -> None:
     assert (enter_real_time(None), policy()) == ("off", os.SCHED_OTHER)
 
 
-def test_short_turns_change_neither_policy_nor_niceness() -> None:
+def test_short_turns_change_neither_policy_nor_niceness_and_leave_a_policy_that_was_chosen() -> None:
     def ask() -> None:
         before = os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
         shorten_slice()
         assert (os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)) == before
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+        assert not shorten_slice()
+        assert os.sched_getscheduler(0) == os.SCHED_BATCH
 
     in_thread(ask)
 
 
 @pytest.mark.parametrize("by_unit", [False, True])
 def test_the_process_goes_first_and_memory_is_locked(by_unit: bool) -> None:
-    def work() -> None:
-        if by_unit and real_time.raise_priority(7) is not None:
+    def work() -> int:
+        if by_unit and raise_priority(7) is not None:
             pytest.skip("not permitted")
         status = enter_real_time(None if by_unit else RealTimeSettings(priority=7))
         try:
             if status != "on":
                 pytest.skip(status)
             assert (policy(), os.sched_getparam(0).sched_priority) == (os.SCHED_FIFO, 7)
-            in_thread(lambda: policies.append(policy()))
             assert locked() > 10_000
+            return in_thread(policy)
         finally:
             leave_real_time()
-        assert locked() < 10_000
+            assert locked() < 10_000
 
-    policies: list[int] = []
-    in_thread(work)
-    assert policies == [os.SCHED_OTHER]
+    assert in_thread(work) == os.SCHED_OTHER, "a thread of it has no priority"
 
 
 def test_missing_permissions_are_reported_and_the_executor_continues(
@@ -89,19 +79,10 @@ def test_missing_permissions_are_reported_and_the_executor_continues(
     def refuse(*_: object) -> None:
         raise PermissionError(1, "Operation not permitted")
 
-    monkeypatch.setattr(real_time, "may_lock_all", lambda: False)
+    monkeypatch.setattr(Path, "read_text", lambda _: "CapEff:\t0\n")
     monkeypatch.setattr(resource, "getrlimit", lambda _: (8 << 20, 8 << 20))
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     status = enter_real_time(RealTimeSettings())
     assert "SCHED_FIFO with priority 50 is not permitted: CPUSchedulingPolicy=fifo" in status
     assert "memory can be locked up to 8388608 bytes only: LimitMEMLOCK=infinity" in status
     assert len(caplog.records) == 2
-
-
-def test_short_turns_leave_a_policy_that_was_chosen() -> None:
-    def ask() -> None:
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-        assert not shorten_slice()
-        assert os.sched_getscheduler(0) == os.SCHED_BATCH
-
-    in_thread(ask)

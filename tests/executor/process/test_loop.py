@@ -1,8 +1,10 @@
-"""The event loop, on a clock that stands still unless the test sets it."""
+"""The event loop, on a clock that stands still unless the test sets it; its period, and its garbage."""
 
+import gc
 import math
 import socket
 import threading
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,7 @@ import pytest
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import DEFECT, Executor
 from hyperbit.controller.executor.core.events import Defect, ExecutorTick, ToClient
-from hyperbit.controller.executor.process.run import CLOSE, EventLoop
+from hyperbit.controller.executor.process.run import CLOSE, TOO_MANY, WORTH, EventLoop, Garbage, Timekeeper
 from hyperbit.controller.executor.process.server import ExecutorServer
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.program import (
@@ -57,12 +59,34 @@ class NoBuses:
         self.closed = True
 
 
+class Core(Executor):
+    """A core whose step fails once on request."""
+
+    fails = False
+
+    def step(self, event: Any, now: float) -> list[Any]:
+        if self.fails:
+            self.fails = False
+            raise RuntimeError("a defect")
+        return super().step(event, now)
+
+
+class Recorder(list[Any]):
+    """Lists events, and whether their step failed."""
+
+    def __call__(self, event: Any, now: float, wall: float | None, actions: list[Any] | None) -> None:
+        self.append((event, actions is None))
+
+    def flush(self) -> None:
+        pass
+
+
 class Bench:
     """An event loop whose rounds the test runs; each takes one period."""
 
     def __init__(self, path: Path, **fields: Any) -> None:
         self.now, self.step = 10.0, TICK
-        self.core = Executor(small_arm(**fields), SwitchJournal(SIZE), 1, build_master=FakeMaster)
+        self.core = Core(small_arm(**fields), SwitchJournal(SIZE), 1, build_master=FakeMaster)
         self.buses, self.server = NoBuses(), ExecutorServer(path, lambda: self.now)
         self.loop = EventLoop(self.core, self.buses, self.server, Notifier(), clock=lambda: self.now)
         self.loop.real_time.start(self.now + TICK)
@@ -87,11 +111,18 @@ class Bench:
 
     def run(self) -> None:
         """Sends a program of two stages, the second much later."""
+        self.go(10)
         state = self.wait(Snapshot)
         while state.mode != "ready":
             state = self.wait(Snapshot)
         stages = (Stage(pack(1, SIZE), at=0.0, mark=0), Stage(pack(0, SIZE), at=1e6, mark=1))
         self.send(Program(1, state.epoch, state.outputs, 0.0, stages, True, False, "goal 1"))
+
+    def in_thread(self) -> threading.Thread:
+        """Runs the loop; the clock stands still, so that no tick is due again, and no contraction ends."""
+        thread = threading.Thread(target=self.loop.run, daemon=True)
+        thread.start()
+        return thread
 
 
 @pytest.fixture
@@ -100,23 +131,19 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     yield bench
     bench.client.close()
     if not bench.buses.closed:
-        bench.loop._end()
+        bench.server.close()
 
 
 def test_a_program_is_acted_on_without_a_tick(bench: Bench) -> None:
-    bench.go(10)
     bench.run()
     ticks = len(bench.core.master.ticks)
-    bench.step = 0.0
-    bench.now += 0.1 * TICK
-    bench.loop.round()
+    bench.step = 0.1 * TICK
+    bench.go(1)
     assert (bench.core.master.outputs, len(bench.core.master.ticks)) == (1, ticks)
 
 
 def test_a_message_shortly_before_a_tick_waits_for_it(bench: Bench) -> None:
-    bench.go(10)
     bench.run()
-    bench.step = 0.0
     bench.now = bench.loop.real_time.next_tick - 0.5 * CLOSE
     bench.loop.round()
     assert bench.core.motion.execution is None
@@ -129,7 +156,6 @@ def test_messages_wait_for_the_echo_of_rpdos_until_the_next_tick(bench: Bench) -
     def answers() -> list[Any]:
         return [it for it in bench.loop.queued if isinstance(it, ToClient) and isinstance(it.message, Accepted)]
 
-    bench.go(10)
     bench.run()
     bench.core.master.slow_rpdos, bench.step = True, 0.0
     bench.go(20)
@@ -141,7 +167,6 @@ def test_messages_wait_for_the_echo_of_rpdos_until_the_next_tick(bench: Bench) -
 
 
 def test_a_defect_of_the_loop_is_a_fault_and_the_loop_continues(bench: Bench) -> None:
-    bench.go(10)
     bench.run()
     bench.go(1)
     bench.buses.broken = True
@@ -150,6 +175,16 @@ def test_a_defect_of_the_loop_is_a_fault_and_the_loop_continues(bench: Bench) ->
     bench.buses.broken = False
     bench.go(10)
     assert bench.wait(Ended).status == "aborted"
+
+
+def test_an_event_whose_step_fails_is_recorded_before_the_defect(bench: Bench) -> None:
+    bench.go(10)
+    bench.loop.recorder = recorder = Recorder()
+    bench.core.fails = True
+    bench.go(2)
+    assert recorder[0] == (ExecutorTick(), True)
+    assert isinstance(recorder[1][0], Defect)
+    assert bench.core.modes.mode == "fault"
 
 
 def test_the_loop_reports_its_lateness(bench: Bench) -> None:
@@ -162,35 +197,13 @@ def test_the_loop_reports_its_lateness(bench: Bench) -> None:
     assert set(loop) >= {"ticks", "mean_work", "longest_work", "late_p99", "late_worst"}
 
 
-def test_an_event_whose_step_fails_is_recorded_before_the_defect(bench: Bench) -> None:
-    recorded = list[tuple[Any, bool]]()
-
-    class Recorder:
-        def __call__(self, event: Any, now: float, wall: float | None, actions: list[Any] | None) -> None:
-            recorded.append((event, actions is None))
-
-        def flush(self) -> None:
-            pass
-
-    def fail(event: Any, now: float) -> list[Any]:
-        del bench.core.step  # the class has it
-        raise RuntimeError("a defect")
-
-    bench.go(10)
-    bench.loop.recorder = Recorder()
-    bench.core.step = fail
-    bench.go(2)
-    assert recorded[0] == (ExecutorTick(), True)
-    assert isinstance(recorded[1][0], Defect)
-    assert bench.core.modes.mode == "fault"
-
-
 def test_at_the_end_the_result_is_sent_and_all_is_closed(bench: Bench, tmp_path: Path) -> None:
-    bench.go(10)
     bench.run()
     bench.go(3)
+    thread = bench.in_thread()
     bench.loop.quit()
-    bench.loop.run()
+    thread.join(30)
+    assert not thread.is_alive()
     assert bench.wait(Ended).status == "aborted"
     assert bench.buses.closed
     assert not (tmp_path / "arm.sock").exists()
@@ -199,13 +212,11 @@ def test_at_the_end_the_result_is_sent_and_all_is_closed(bench: Bench, tmp_path:
 
 def test_a_second_quit_does_not_wait_for_the_contraction(tmp_path: Path) -> None:
     bench = Bench(tmp_path / "arm.sock", contract_on_stop=True)
-    bench.go(10)
     bench.run()
     bench.go(20)
     assert bench.core.master.outputs == 1
-    thread = threading.Thread(target=bench.loop.run, daemon=True)  # the clock stands still: no contraction ends
     bench.loop.quit()
-    thread.start()
+    thread = bench.in_thread()
     while not bench.core.ending.begun:
         thread.join(0.01)
     assert (bench.core.ended, bench.buses.closed) == (False, False)
@@ -216,12 +227,61 @@ def test_a_second_quit_does_not_wait_for_the_contraction(tmp_path: Path) -> None
     bench.client.close()
 
 
-def test_quit_wakes_the_loop_from_another_thread(tmp_path: Path) -> None:
-    bench = Bench(tmp_path / "arm.sock")
-    bench.loop._clock = lambda: 10.0  # no tick is ever due again
-    thread = threading.Thread(target=bench.loop.run)
-    thread.start()
-    bench.loop.quit()
-    thread.join(30)
-    assert not thread.is_alive()
-    bench.client.close()
+def test_ticks_are_due_by_the_period_and_missed_ones_are_counted_and_skipped() -> None:
+    keeper = Timekeeper(0.01)
+    keeper.start(50.0)
+    assert keeper.remaining(50.0) == 0
+    keeper.ticked(50.0, 50.001)
+    assert keeper.remaining(50.002) == pytest.approx(0.008)
+    keeper.ticked(50.015, 50.018)
+    assert keeper.remaining(50.018) == pytest.approx(0.002), "a late tick does not shift the next"
+    assert keeper.drain_figures() == {
+        "ticks": 2,
+        "overruns": 0,
+        "longest_period": pytest.approx(0.015),
+        "mean_work": pytest.approx(0.002),
+        "longest_work": pytest.approx(0.003),
+        "late_p50": pytest.approx(0.005),
+        "late_p99": pytest.approx(0.005),
+        "late_worst": pytest.approx(0.005),
+    }
+    assert not any(keeper.drain_figures().values())
+    keeper.ticked(50.02, 50.054)
+    assert keeper.remaining(50.054) == pytest.approx(0.006)
+    assert keeper.drain_figures()["overruns"] == 3
+
+
+class Cycle:
+    def __init__(self) -> None:
+        self.own = self
+
+
+def left(count: int) -> list[weakref.ref[Cycle]]:
+    return [weakref.ref(Cycle()) for _ in range(count)]
+
+
+def gone(references: list[weakref.ref[Cycle]]) -> bool:
+    return all(reference() is None for reference in references)
+
+
+def test_garbage_is_collected_by_a_holding_arm_and_by_a_busy_one_if_it_is_too_much() -> None:
+    with Garbage() as garbage:
+        assert not gc.isenabled()
+        assert gc.get_freeze_count() > 1000
+        references = left(WORTH + 1)
+        garbage.collect(holding=False)
+        assert not gone(references), "nothing is collected by itself"
+        garbage.collect(holding=True)
+        assert gone(references)
+        cycles = [Cycle() for _ in range(TOO_MANY)]
+        references = left(TOO_MANY)
+        garbage.collect(holding=False)
+        assert gone(references)
+        older = [weakref.ref(cycle) for cycle in cycles]
+        del cycles
+        garbage.collect(holding=False)
+        assert not gone(older[:-1]), "the youngest alone"
+        garbage.collect(holding=True)
+        assert gone(older[:-1])
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0
