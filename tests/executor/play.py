@@ -1,4 +1,8 @@
-"""Plays scenarios: their steps, and what is seen after each."""
+"""Plays the executor's scenarios: their steps, and what is seen after each.
+
+After each step these are as told, and where nothing is told they have not changed: the mode, commanded states, results,
+declined programs, and whether the executor has ended. Other facts are compared where they are told.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +35,8 @@ from hyperbit.controller.program import (
 )
 from hyperbit.drivers.canopen.faults import ArmFault
 from tests.executor.rig import ALL, CAN, LOST, OPERATOR, OTHER, PLANNER, SIZE, TICK, TRAVEL, Rig, World
-from tests.executor.scenario import Scenario, fields_of, states_of
+from tests.executor.scenario import fields_of, states_of
+from tests.scenario import Scenario, matches
 
 MODES = ("starting", "ready", "executing", "fault", "stopped")
 STATUSES = ("done", "aborted", "canceled", "replaced")
@@ -59,10 +64,10 @@ class Play:
 
     def __init__(self, scenario: Scenario, kind: type[Rig] | type[World]) -> None:
         self.scenario = scenario
-        self.rig: Any = kind(**fields_of(scenario.arm))
+        self.rig: Any = kind(**fields_of(scenario.settings))
         self.boards = kind is World
         self.requests = 0
-        if "from the start" not in scenario.arm:
+        if "from the start" not in scenario.settings:
             if not self.boards:
                 self.rig.connect()
             self.rig.go(2.0 if self.boards else 3 * TICK)
@@ -241,8 +246,7 @@ class Play:
             elif name == "switch":
                 assert [states_of(word) for word in found.split()] == [states_of(word) for word in value.split()], found
             else:
-                pattern = re.escape(value).replace(r"\.\.\.", ".*")
-                assert re.fullmatch(pattern, found, re.DOTALL), f"{name}: {found}"
+                assert matches(found, value), f"{name}: {found}"
 
     def new(self, kind: type, client: Any = PLANNER) -> list[Any]:
         """Messages of this step."""

@@ -1,22 +1,10 @@
-"""The language of scenarios: a title, the arms that it is played on, and steps, each with what is seen after it.
+"""The words of the executor's scenarios: states, and arms that differ from the small one.
 
-    a stop stays until reset
-      with rest 0.3               one line for each arm; none: the small arm as it is
-      stop                        -> stopped
-      run A                       -> declined arm-stopped
-      reset                       -> starting | answer resetting...
-      wait 0.02                   -> ready
-
-After each step these are as told, and where nothing is told they have not changed: the mode, commanded states, results,
-declined programs, and whether the executor has ended. Other facts are compared where they are told. "..." is any text.
 States are A, B, C, ALL or binary numbers; "10/1": extending and contracting outputs, or ends. Times are in seconds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from hyperbit.drivers.canopen.wiring import BoardId, Interlock, NodeWiring, WatchedObject
@@ -39,51 +27,16 @@ INTERLOCKS = {
 }
 
 
-@dataclass
-class Line:
-    number: int
-    step: str
-    seen: list[str]
-
-
-@dataclass
-class Scenario:
-    title: str
-    arm: list[str]  # what differs from the small arm
-    lines: list[Line] = field(default_factory=list)
-
-
-def read(path: Path) -> Iterator[Scenario]:
-    """Yields each scenario of a file, once for each of its arms."""
-    scenario, arms = None, list[str]()
-    for number, row in enumerate([*path.read_text().splitlines(), "the end"], 1):
-        step, _, seen = map(str.strip, row.partition("->"))
-        parts = [part.strip() for part in seen.split(" | ") if part.strip()]
-        if row.startswith("#"):
-            continue
-        if row[:1].strip():  # a title
-            if scenario is not None:
-                for arm in arms or [""]:
-                    yield Scenario(scenario.title, [part.strip() for part in arm.split(";") if part], scenario.lines)
-            scenario, arms = Scenario(step, []), []
-        elif scenario is not None and step.startswith("with "):
-            arms.append(step.removeprefix("with "))
-        elif scenario is not None and step:
-            scenario.lines.append(Line(number, step, parts))
-        elif scenario is not None:
-            scenario.lines[-1].seen += parts
-
-
 def states_of(word: str) -> int:
     extending, _, contracting = word.partition("/")
     named = {"A": A, "B": B, "C": C, "ALL": ALL}
     return (named[extending] if extending in named else int(extending, 2)) | int(contracting or "0", 2) << SIZE
 
 
-def fields_of(arm: list[str]) -> dict[str, Any]:
+def fields_of(settings: list[str]) -> dict[str, Any]:
     """Returns the fields of an arm that is described in words."""
     fields: dict[str, Any] = {}
-    for part in arm:
+    for part in settings:
         name, *values = part.split()
         if part in CHANNELS:
             fields["channel"] = {**fields.get("channel", {}), **CHANNELS[part]}

@@ -19,6 +19,14 @@ DOCUMENT: dict[str, Any] = {
     "tolerance": {"position": 0.002},
     "travel_time": 0.05,
 }
+# A joint of three states has two actuators, and one pair of their states is no configuration.
+JOINT = {"type": "transforms", "states": [{"position": [0.1, 0.05 * k]} for k in range(3)], "count": 2}
+
+
+def unused_states(arm: Arm) -> int:
+    """Returns the states of a joint's actuators that are no configuration."""
+    used = {int(row @ [1, 2]) for row in arm.manipulator.modules[0].bits}
+    return next(bits for bits in range(4) if bits not in used)
 
 
 @pytest.fixture(scope="session")

@@ -22,7 +22,7 @@ from hyperbit.controller.planning.core.stream import Stream
 from hyperbit.controller.planning.core.tasks import PrepareSearch
 from hyperbit.controller.program import Diagnostics, Fault
 from hyperbit.controller.workspace.densities import Densities
-from tests.planning.conftest import DOCUMENT
+from tests.planning.conftest import DOCUMENT, JOINT, unused_states
 from tests.planning.rig.desk import Desk
 from tests.planning.rig.played_core import PlayedCore, PlayedGoal
 
@@ -30,8 +30,6 @@ HOME = (0, 0, 0, 0)
 STUCK = Fault("stuck", "1.left", "it reads contracted")
 LOST = Fault("board-lost", "can0/3", "no heartbeat")
 UNWRITTEN = Fault("ledger-unwritten", "ledger", "the disk is full")
-# A joint of three states has two actuators, and a code without a state.
-JOINT = {"type": "transforms", "states": [{"position": [0.1, 0.05 * k]} for k in range(3)], "count": 2}
 TICK = 0.001  # [s] of the simulated clock
 
 
@@ -145,8 +143,7 @@ def test_a_collision_where_the_arm_stands_is_a_fault(bench: StatusBench) -> None
 
 def test_measured_states_that_are_no_configuration_are_a_fault(read: Callable[[Any], Arm]) -> None:
     bench = StatusBench(read({**DOCUMENT, "modules": [JOINT]}))
-    used = {int(row @ [1, 2]) for row in bench.arm.manipulator.modules[0].bits}
-    bench.show(outputs=bytes(set(range(4)) - used))
+    bench.show(outputs=bytes([unused_states(bench.arm)]))
     (fault,) = bench.state()["faults"]
     assert (fault["code"], bench.state()["mode"]) == ("unknown-state", "ready")
     bench.show(moving=True)

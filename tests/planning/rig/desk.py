@@ -96,11 +96,13 @@ class DeskExecutor(PlayedExecutor):
 
 
 class Inbox:
-    def __init__(self) -> None:
+    def __init__(self, said: list[tuple[str, Any]]) -> None:
         self.payloads = deque[tuple[str, dict[str, Any]]]()
+        self._said = said
 
     def put(self, key: str, payload: Any) -> None:
         self.payloads.append((key, dict(payload)))
+        self._said.append((key, dict(payload)))
 
     def next(self, key: str) -> dict[str, Any]:
         assert self.payloads, f"no {key} came"
@@ -120,6 +122,7 @@ class Desk:
         now: monotonic time [s].
         wall: UNIX time [s].
         inbox: answers, feedback and results.
+        said: the same and messages to the executor, by key, in their order.
         published: the latest `state` and `diagnostics`.
         entries: what the ledger has recorded.
         failures: sentences with which the process would have ended.
@@ -142,14 +145,15 @@ class Desk:
         simulation: PlayableFaults | None = None,
     ) -> None:
         self.arm, self.now, self.wall = arm, FAR, 2 * FAR
-        self.inbox, self.published, self.entries = Inbox(), dict[str, Any](), list[tuple[Any, ...]]()
+        self.said = list[tuple[str, Any]]()
+        self.inbox, self.published, self.entries = Inbox(self.said), dict[str, Any](), list[tuple[Any, ...]]()
         self.hurried = list[int]()  # numbers of tasks
         self.logs, self.failures, self.counts = list[str](), list[str](), (0,) * len(arm.manipulator.actuators)
         self.held, self.failing, self.storing = set[type[Task]](), set[type[Task]](), True
         self.decode = RequestDecoder(arm).decode
         self._events, self.queued = deque[Event](), dict[int, Task]()
         self.names, self._numbers, self._wake = dict[int, str](), 0, float("inf")
-        self.workers = PromptWorkers(arm, densities)
+        self.densities, self.workers = densities, PromptWorkers(arm, densities)
         [tables] = self.workers.perform(BuildTables(0, arm.locked.astype(np.uint8).tobytes()))
         [built] = self.workers.perform(BuildScene(0, NONE))
         self.beginning = Beginning(
@@ -227,7 +231,7 @@ class Desk:
                 self.counts = counts
             case ToExecutor(message):
                 if not isinstance(message, Alive | Counts):
-                    self.executor.messages.append(message)
+                    self._to_executor(message)
             case Start(number, task):
                 self.queued[number] = task
                 if type(task) not in self.held:
@@ -278,11 +282,15 @@ class Desk:
         self._numbers += 1
         self.names[self._numbers] = name
         if key == "stop":
-            self.executor.messages.append(Stop(self._numbers))
+            self._to_executor(Stop(self._numbers))
         elif isinstance(message, CancelMessage) and message.goal is None:
-            self.executor.messages.append(Cancel(self._numbers, None, "canceled; the arm holds"))
+            self._to_executor(Cancel(self._numbers, None, "canceled; the arm holds"))
         self.post(Request(Arrival(self._numbers, self.now - self.delay), key, message, self.wall))
         return self._numbers
+
+    def _to_executor(self, message: Down) -> None:
+        self.executor.messages.append(message)
+        self.said.append(("executor", message))
 
     def setpoint(self, payload: bytes, number: int, sender: str = "") -> None:
         self.post(SetpointArrived(payload, Arrival(number, self.now - self.delay), sender))

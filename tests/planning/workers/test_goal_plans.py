@@ -11,8 +11,7 @@ from hyperbit.controller.planning.workers import computations
 from hyperbit.controller.planning.workers.computations import Abandoned, plan_goal, prepare_search
 from hyperbit.controller.refusals import codes
 from hyperbit.controller.refusals.refusal import Refusal
-from tests.planning.conftest import DOCUMENT
-from tests.planning.test_actuators import JOINT
+from tests.planning.conftest import DOCUMENT, JOINT, unused_states
 from tests.planning.workers.conftest import HOME, A, B, Bench, C, abandoned, nothing
 
 Make = Callable[[dict[str, Any]], Bench]
@@ -108,8 +107,7 @@ def test_bits_of_locked_actuators_are_those_of_the_outputs(small: Any, small_den
 
 def test_states_that_are_no_configuration_are_refused(make_bench: Make) -> None:
     bench = make_bench({**DOCUMENT, "modules": [JOINT]})
-    used = {int(row @ [1, 2]) for row in bench.arm.manipulator.modules[0].bits}
-    states = bytes([next(bits for bits in range(4) if bits not in used)])
+    states = bytes([unused_states(bench.arm)])
     with pytest.raises(Refusal, match=r"^unknown state: what the boards measure is no configuration: .*`jog`$"):
         plan_goal(bench.model, bench.task((0, 0), start=bench.start(states)), nothing)
 

@@ -7,8 +7,7 @@ import pytest
 
 from hyperbit.controller.planning.core.tasks import BuildScene, Checked, CheckStages, CheckStanding
 from hyperbit.controller.planning.workers.computations import Abandoned, build_scene, check_stages, check_standing
-from tests.planning.conftest import DOCUMENT
-from tests.planning.test_actuators import JOINT
+from tests.planning.conftest import DOCUMENT, JOINT, unused_states
 from tests.planning.workers.conftest import HOME, A, B, Bench, abandoned, nothing
 
 
@@ -43,8 +42,7 @@ def test_a_collision_at_rest_is_told(bench: Bench, make_bench: Callable[[dict[st
     assert check_standing(CheckStanding(scene, bench.packed(*HOME))) == Checked(None)
     assert "is in disc regions[0]" in (check_standing(CheckStanding(scene, bench.packed(*B))).collision or "")
     other = make_bench({**DOCUMENT, "modules": [JOINT]})
-    used = {int(row @ [1, 2]) for row in other.arm.manipulator.modules[0].bits}
-    unknown = bytes([next(bits for bits in range(4) if bits not in used)])
+    unknown = bytes([unused_states(other.arm)])
     assert check_standing(CheckStanding(other.scene(([0.2, 0.0], 1.0)), unknown)) == Checked(None)
 
 
