@@ -134,20 +134,11 @@ def test_it_waits_for_an_executor_and_tells_the_reason_once(line: Line) -> None:
     assert line.reasons == ["waiting for the executor at its socket: No such file or directory"]
     assert line.link.send_now(Stop(1)) == line.reasons[0]
     executor = ScriptedExecutor(line.path, 12)
+    line.link.connect(line.now + RETRY / 2)
+    assert (line.link.fileno(), line.link.retry_at) == (-1, line.now + RETRY), "it tries again only after a while"
     line.welcome()
     hello = executor.expect(Hello)
     assert (hello.role, hello.arm) == ("planner", "small")
-    executor.close()
-
-
-def test_it_tries_again_only_after_a_while(line: Line) -> None:
-    line.link.connect(10.0)
-    line.link.connect(10.0 + RETRY / 2)
-    executor = ScriptedExecutor(line.path, 12)
-    line.link.connect(10.0 + RETRY / 2)
-    assert (line.link.fileno(), line.link.retry_at) == (-1, 10.0 + RETRY)
-    line.link.connect(line.link.retry_at)
-    assert line.link.fileno() >= 0
     executor.close()
 
 
@@ -247,19 +238,15 @@ def fill(line: Line) -> None:
         line.link.send(PROGRAM)
 
 
-def test_messages_wait_while_the_socket_is_full(line: Line, deaf: Deaf) -> None:
+def test_messages_wait_while_the_socket_is_full_and_a_stop_that_cannot_be_sent_says_so(line: Line, deaf: Deaf) -> None:
     fill(line)
     line.link.send(Stop(7))
+    assert line.link.send_now(Stop(1)) == UNREAD
+    assert line.events[1:] == []  # the queue decides on the connection
     deaf.read()
     line.link.flush()
     assert not line.link.queue
     assert deaf.read() == [encode(PROGRAM), encode(Stop(7))]
-
-
-def test_a_stop_that_cannot_be_sent_says_so(line: Line, deaf: Deaf) -> None:
-    fill(line)
-    assert line.link.send_now(Stop(1)) == UNREAD
-    assert line.events[1:] == []  # the queue decides on the connection
 
 
 def test_an_executor_that_reads_late_is_dropped(line: Line, deaf: Deaf) -> None:
@@ -286,20 +273,6 @@ def test_a_flood_is_received_in_parts(line: Line, deaf: Deaf, monkeypatch: pytes
     for k in range(5):
         deaf.client.send(encode(Answer(k, "")))
     assert [len(line.link.receive()) for _ in range(4)] == [2, 2, 1, 0]
-
-
-def test_a_thread_that_sends_keeps_the_number_of_the_socket_in_use(line: Line, deaf: Deaf) -> None:
-    sending = line.link._welcomed  # as in send_now
-    assert sending is not None
-    number = sending.socket.fileno()
-    line.link.drop("silent")
-    with pytest.raises(BrokenPipeError):
-        sending.send(b"x")
-    assert sending.socket.fileno() == number
-    os.fstat(number)
-    del sending
-    with pytest.raises(OSError, match="Bad file descriptor"):
-        os.fstat(number)
 
 
 def test_threads_may_send_while_connections_end(line: Line, executor: ScriptedExecutor) -> None:

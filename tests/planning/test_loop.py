@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from hyperbit.controller.host.process import Log, Notify, Quit
+from hyperbit.controller.host.process import Log, Notify
 from hyperbit.controller.planning.core.events import (
     Abandon,
     AcceptanceEntry,
@@ -122,11 +122,8 @@ def test_events_posted_by_the_core_s_actions_wait_for_the_next_round(bench: Benc
     assert bench.handle() == [Answered(1, Failed("RuntimeError('start is broken')"), True)]
 
 
-def test_the_core_steps_at_the_begin_also_if_the_executor_does_not_answer(bench: Bench) -> None:
+def test_it_ticks_at_the_begin_and_at_the_last_wake(bench: Bench) -> None:
     assert bench.core.steps[-1] == Tick()
-
-
-def test_it_ticks_at_the_last_wake(bench: Bench) -> None:
     bench.core.script[Request] = [Wake(101.0), Wake(102.0)]
     bench.handle(REQUEST)
     bench.now = 101.5
@@ -201,23 +198,15 @@ def test_a_failing_action_stops_no_other(bench: Bench, caplog: pytest.LogCapture
     def fail(payload: Any) -> None:
         raise RuntimeError("the query has gone")
 
-    bench.core.script[Request] = lambda event: [Reply(event.number, {}), Publish("state", {})]
+    bench.core.script[Request] = lambda event: [Reply(event.number, {}), Publish("state", {}), Reply(event.number, 0)]
     bench.services.broken = {"publish"}
     answered: list[Any] = []
     bench.ask(fail)
     bench.ask(answered.append)
     bench.handle()
-    assert answered == [{}]
+    assert answered == [{}], "a request is answered at most once"
     assert [record.getMessage() for record in caplog.records].count("the action Reply failed") == 1
     assert [call[0] for call in bench.services.calls] == ["publish", "publish"]
-
-
-def test_a_request_is_answered_at_most_once(bench: Bench) -> None:
-    answered: list[Any] = []
-    bench.core.script[Request] = [Reply(1, {"first": True}), Reply(1, {"first": False})]
-    bench.ask(answered.append)
-    bench.handle()
-    assert answered == [{"first": True}]
 
 
 def test_the_recorder_gets_each_step_until_it_fails(bench: Bench) -> None:
@@ -263,19 +252,6 @@ def test_the_core_can_end_the_process(bench: Bench) -> None:
     assert bench.services.calls == [("fatal", "the worker for goals does not answer")]
 
 
-def test_it_says_when_the_core_has_ended(bench: Bench) -> None:
-    def end(event: Quit) -> list[Any]:
-        bench.core.ended = True
-        return []
-
-    bench.core.script[Quit] = end
-    bench.loop.ended.clear()
-    bench.handle(REQUEST)
-    assert not bench.loop.ended.is_set()
-    bench.handle(Quit())
-    assert bench.loop.ended.is_set()
-
-
 def test_closing_refuses_what_was_not_answered(bench: Bench) -> None:
     answered: list[Any] = []
     bench.ask(answered.append)
@@ -301,14 +277,3 @@ def test_no_event_is_missed(bench: Bench) -> None:
     assert sorted(got) == list(range(senders * count))
     for sender in range(senders):
         assert [task for task in got if task // count == sender] == sorted(t for t in got if t // count == sender)
-
-
-def test_a_thread_serves_requests(bench: Bench) -> None:
-    bench.core.script[Request] = lambda event: [Reply(event.number, {"number": event.number})]
-    bench.loop = bench.make()
-    bench.loop.start()
-    answered = threading.Event()
-    bench.ask(lambda payload: answered.set())
-    assert answered.wait(PATIENCE)
-    bench.loop.close()
-    assert not bench.loop.thread.is_alive()

@@ -5,9 +5,6 @@ import queue
 import socket
 import threading
 import time
-from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -112,35 +109,3 @@ class ScriptedExecutor(PlayedExecutor):
                     pass
                 case _:
                     self._messages.put(message)
-
-
-class Inbox:
-    def __init__(self) -> None:
-        self.queue: queue.Queue[tuple[str, dict[str, Any]]] = queue.Queue()
-        self._feedback = deque[dict[str, Any]]()  # that came before a reply, which waits for the ledger
-
-    def put(self, key: str, payload: Any) -> None:
-        self.queue.put((key, dict(payload)))
-
-    def next(self, key: str) -> dict[str, Any]:
-        """Returns the next payload, and checks its key; feedback may come before a reply."""
-        if key == "feedback" and self._feedback:
-            return self._feedback.popleft()
-        came, payload = self.queue.get(timeout=PATIENCE)
-        while key == "reply" and came == "feedback":
-            self._feedback.append(payload)
-            came, payload = self.queue.get(timeout=PATIENCE)
-        assert came == key, f"{came} {payload} came where {key} was expected"
-        return payload
-
-    @property
-    def empty(self) -> bool:
-        return self.queue.empty()
-
-
-@contextmanager
-def closing(thing: Any) -> Iterator[Any]:
-    try:
-        yield thing
-    finally:
-        thing.close()
