@@ -20,7 +20,7 @@ from hyperbit.controller.search.descent.paths import Paths
 from hyperbit.controller.search.lists.four_list import FourList, FourListProof
 from hyperbit.controller.search.lists.matching import load, put
 from hyperbit.controller.search.lists.segment import Sets, build_segment, motions
-from hyperbit.controller.search.lists.two_list import TwoList, room_for
+from hyperbit.controller.search.lists.two_list import ListSizes, TwoList, room_for
 from hyperbit.controller.search.method import distances
 from hyperbit.controller.search.neighbours.chain import Chain
 from hyperbit.controller.search.neighbours.leaps import Leaps
@@ -30,9 +30,6 @@ from hyperbit.controller.workspace.hull import Hull
 
 Array = NDArray[np.float64]
 
-NEAR = 1 << 14  # rows of a half in the near lists
-WIDE = 1 << 16  # rows of a half to extend a proof, if the incumbent costs little more than the near lists
-LADDER = (NEAR, WIDE, 1 << 18)  # rows of a half in lists around the incumbent
 GRID = {2: 256, 3: 32}  # extent of the points over the greatest distance of a pair, by dimension
 EASY = 1.5  # below this multiple of the unexplored cost, four lists give a proof sooner than new maps
 REST, REST_FOUND = 0.5, 0.2  # share of the time that the first run of branch and bound leaves: without, with incumbent
@@ -44,23 +41,24 @@ FAR = 1.0, 1.2  # above these multiples of the unexplored cost of pairs, beam se
 class MinimumSwitch:
     """The minimum-switch search of one manipulator, with its memory."""
 
-    def __init__(self, manipulator: Manipulator, hull: Hull, paths: Paths, chain: Chain) -> None:
+    def __init__(self, manipulator: Manipulator, hull: Hull, paths: Paths, chain: Chain, sizes: ListSizes) -> None:
         load(manipulator.planar)
+        self._sizes = sizes
         self._m, self._hull, self._paths = manipulator, hull, paths
-        self._near, self._wide = TwoList(manipulator, NEAR), TwoList(manipulator, LADDER[-1])
-        self._four = FourList(manipulator, self._near.cut)
+        self._near, self._wide = TwoList(manipulator, sizes.near), TwoList(manipulator, sizes.widest)
+        self._four = FourList(manipulator, self._near.cut, sizes)
         self._tree = BranchAndBound(manipulator, hull) if manipulator.planar else None
-        self._nearest, self._leaps = Nearest(manipulator, self._wide), Leaps(chain)
+        self._nearest, self._leaps = Nearest(manipulator, self._wide, sizes.near), Leaps(chain)
         self._row_time = 0.0
         self._proof: FourListProof | None = None
 
     def claim(self) -> None:
         """Touches the memory, so that no search waits for page faults.
 
-        Only long searches list more than the first step of LADDER; they can wait for their memory.
+        Only long searches list more than near lists; they can wait for their memory.
         """
         self._near.claim()
-        self._wide.claim(LADDER[0])
+        self._wide.claim(self._sizes.near)
         self._four.claim()
         self._nearest.claim()
         if self._tree is not None:
@@ -120,7 +118,7 @@ class MinimumSwitch:
         free = np.zeros(self._m.bits.shape[:2])
         problem = Problem(target, incumbent.configuration, free)
         self._nearest.improve(target, incumbent)
-        for most in LADDER:
+        for most in self._sizes.ladder:
             if incumbent.cost == np.inf:
                 self._wander(problem, incumbent, most)
 
@@ -189,7 +187,7 @@ class MinimumSwitch:
             proof.add(near, (0.0, 0.0), starts, incumbent.cost)
         proof.run(incumbent)
         if not incumbent.over and proof.rest == sum(starts) and incumbent.bound >= proof.rest:
-            most = WIDE if incumbent.cost <= FAR[1] * proof.rest else LADDER[-1]
+            most = self._sizes.wide if incumbent.cost <= FAR[1] * proof.rest else self._sizes.widest
             self._list(problem, problem.seed, problem.costs, most, incumbent.clock)
             proof.add(wide, starts, (starts[0], wide.upper.unexplored), incumbent.cost)
             proof.run(incumbent)
@@ -212,7 +210,7 @@ class MinimumSwitch:
             most = share * (self._near.lower.unexplored + self._near.upper.unexplored)
             if most < incumbent.cost < np.inf and not incumbent.late:
                 self._paths.widen(problem.target, problem.costs, width, incumbent)
-                self._wander(problem, incumbent, NEAR)
+                self._wander(problem, incumbent, self._sizes.near)
 
     def _approach(self, problem: Problem, incumbent: Incumbent) -> None:
         """Brings the tip nearer to the goal, as a start for lists around the incumbent."""
@@ -222,7 +220,7 @@ class MinimumSwitch:
 
     def _around(self, problem: Problem, incumbent: Incumbent) -> None:
         """Matches two lists around the incumbent; longer lists until a configuration is within the tolerances."""
-        for most in LADDER:
+        for most in self._sizes.ladder:
             self._wander(problem, incumbent, most)
             if incumbent.cost < np.inf or not problem.target.hard:
                 break
@@ -236,7 +234,7 @@ class MinimumSwitch:
             began = clock.now()
             self._paths.widen(problem.target, problem.costs, width, incumbent)
             seconds = 6.0 * (clock.now() - began)
-            self._wander(problem, incumbent, NEAR)
+            self._wander(problem, incumbent, self._sizes.near)
 
     def _release(self) -> None:
         """Ends a proof that uses the wide lists before they are overwritten."""
@@ -265,10 +263,10 @@ class MinimumSwitch:
 class Nearest:
     """Local search for the nearest tip, by changes of few actuators at a time; overwrites the two lists."""
 
-    def __init__(self, manipulator: Manipulator, two: TwoList) -> None:
-        self._m, self._motions, self._two = manipulator, motions(manipulator), two
+    def __init__(self, manipulator: Manipulator, two: TwoList, most: int) -> None:
+        self._m, self._motions, self._two, self._most = manipulator, motions(manipulator), two, most
         self._free = np.zeros(manipulator.bits.shape[:2])
-        self._rows = room_for(manipulator, 0, len(manipulator.modules), NEAR)
+        self._rows = room_for(manipulator, 0, len(manipulator.modules), most)
 
     def claim(self) -> None:
         """Touches all memory, so that no search waits for page faults."""
@@ -305,7 +303,7 @@ class Nearest:
     def _pair(self, target: SearchTarget, incumbent: Incumbent) -> None:
         """Offers the nearest of all configurations that differ in few actuators of each half, if it is very near."""
         two, size = self._two, self._m.dimension
-        two.list(incumbent.configuration, distances(self._m, incumbent.configuration), self._free, NEAR)
+        two.list(incumbent.configuration, distances(self._m, incumbent.configuration), self._free, self._most)
         incumbent.clock.charge(LISTED * two.count)
         extent = float(np.ptp(two.upper.frames[:, :size], axis=0).max())
         within = min(float(np.sqrt(incumbent.square)), extent / GRID[size])

@@ -17,7 +17,7 @@ from hyperbit.controller.obstacles.scene import scene_of
 from hyperbit.controller.search.clock import EFFORT, START, WALL
 from hyperbit.controller.search.descent.paths import Paths
 from hyperbit.controller.search.enumeration import Enumeration
-from hyperbit.controller.search.lists.two_list import TwoList
+from hyperbit.controller.search.lists.two_list import ListSizes, TwoList
 from hyperbit.controller.search.method import MINIMUM_SWITCH, Method, cost_of_switches, switch_costs
 from hyperbit.controller.search.minimum_switch import MinimumSwitch
 from hyperbit.controller.search.neighbours.chain import Chain, chain_of
@@ -52,14 +52,15 @@ class Solver:
         clearance: BodyClearance | None = None,
         *,
         list_whole: bool = True,
+        list_sizes: ListSizes = ListSizes(),
     ) -> None:
         """Builds the tables.
 
         `weights` (A,) are the positive costs of a switch of each actuator; None: all 1. Answers are clear of the
         obstacles of `clearance` even if the previous configuration is not. With `list_whole`, all configurations of an
-        arm with few are tried.
+        arm with few are tried. `list_sizes` are those of minimum-switch searches.
         """
-        self.manipulator, self._list_whole = manipulator, list_whole
+        self.manipulator, self._list_whole, self._list_sizes = manipulator, list_whole, list_sizes
         self.clearance, self.scene = clearance, scene_of(manipulator, clearance)
         self.densities = densities
         own = np.ones(len(manipulator.actuators)) if weights is None else np.asarray(weights, dtype=float)
@@ -246,4 +247,4 @@ class Solver:
 
     @cached_property
     def minimum(self) -> MinimumSwitch:
-        return MinimumSwitch(self.manipulator, self._hull, self.paths, self.chain)
+        return MinimumSwitch(self.manipulator, self._hull, self.paths, self.chain, self._list_sizes)

@@ -14,8 +14,7 @@ from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.manipulator.module import Module, transforms
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.obstacles.obstacles import NONE, Obstacles, box, sphere
-from hyperbit.controller.search import minimum_switch
-from hyperbit.controller.search.lists import four_list
+from hyperbit.controller.search.lists.two_list import ListSizes
 from hyperbit.controller.search.solution import Solution
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
@@ -25,8 +24,14 @@ QUARTERS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
 X, Y, Z = np.eye(3)
 
 
-def solver_of(arm: Manipulator, weights: np.ndarray | None = None, clearance: BodyClearance | None = None) -> Solver:
-    return Solver(arm, map_densities(arm, arm.length / 20 + 1e-6, 2000), weights, clearance, list_whole=False)
+def solver_of(
+    arm: Manipulator,
+    weights: np.ndarray | None = None,
+    clearance: BodyClearance | None = None,
+    sizes: ListSizes = ListSizes(),
+) -> Solver:
+    densities = map_densities(arm, arm.length / 20 + 1e-6, 2000)
+    return Solver(arm, densities, weights, clearance, list_whole=False, list_sizes=sizes)
 
 
 def least_cost(solver: Solver, goal: np.ndarray, previous: np.ndarray, tolerance: float, turn: float) -> float:
@@ -165,26 +170,21 @@ def test_locked_actuators(seed):
         check(solver, goal, rng.integers(0, arm.states), tolerance)
 
 
-@pytest.fixture(params=[(2, 6, 3, 1), (6, 40, 1000, 1), (12, 30, 8, 100)], ids=str)
-def small_lists(request, monkeypatch):
-    """Short lists, so that proofs need all stages: layers, look-ups, and a second band."""
-    near, wide, quarter, layer = request.param
-    monkeypatch.setattr(minimum_switch, "NEAR", near)
-    monkeypatch.setattr(minimum_switch, "WIDE", wide)
-    monkeypatch.setattr(minimum_switch, "LADDER", (near, wide, 2 * wide))
-    monkeypatch.setattr(four_list, "ROWS", quarter)
-    monkeypatch.setattr(four_list, "LAYER", layer)
-    monkeypatch.setattr(four_list, "AT_ONCE", 3)
+# Short lists, so that proofs need all stages: layers, look-ups, and a second band.
+SIZES = [
+    ListSizes(near, wide, 2 * wide, quarter, layer, at_once=3)
+    for near, wide, quarter, layer in ((2, 6, 3, 1), (6, 40, 1000, 1), (12, 30, 8, 100))
+]
 
 
 @pytest.mark.parametrize("seed", range(15))
-@pytest.mark.usefixtures("small_lists")
-def test_what_short_lists_leave_out_is_streamed_or_not_claimed(seed):
+@pytest.mark.parametrize("sizes", SIZES, ids=str)
+def test_what_short_lists_leave_out_is_streamed_or_not_claimed(seed: int, sizes: ListSizes) -> None:
     rng = np.random.default_rng(seed)
     arm = (lattice_arm, any_arm)[seed % 2](rng)
     weights = rng.choice((1.0, 1.5, 0.1, 0.3), len(arm.actuators)) if seed % 3 else None
     clearance = BodyClearance(arm, obstacle(arm, rng), 0.01) if seed % 5 == 0 else None
-    solver = solver_of(arm, weights, clearance)
+    solver = solver_of(arm, weights, clearance, sizes)
     for turn in (np.inf, np.inf, np.pi / 2, 1e-9):
         goal, tolerance = on_the_shell(arm, rng, 0.25)
         asked = goal if turn == np.inf else arm.tip(rng.integers(0, arm.states))

@@ -26,16 +26,13 @@ from hyperbit.controller.search.lists.segment import (
     motions,
     step,
 )
-from hyperbit.controller.search.lists.two_list import BAND_CELLS, TwoList, improve, middle, room_for
+from hyperbit.controller.search.lists.two_list import BAND_CELLS, ListSizes, TwoList, improve, middle, room_for
 from hyperbit.controller.search.solution import Incumbent
 from hyperbit.controller.search.target import SearchTarget
 
 Array = NDArray[np.float64]
 
-ROWS = 1 << 14  # most rows of a quarter
 BINS = 512  # bins of costs, for the sizes of layers
-AT_ONCE = 1 << 17  # pairs between two checks of the deadline
-LAYER = 1 << 14  # fewest pairs of a layer, unless it is the last
 FEWER = 4  # rebuild an index if it has this many times more rows than needed
 LOOKUP = 3  # time to look up a pair in a full index, relative to an index of few rows
 
@@ -52,12 +49,13 @@ class FourList:
     # approximate number of configurations of lower and upper half by cost in units, shape (2, BINS)
     layers: tuple[Array, Array]
 
-    def __init__(self, manipulator: Manipulator, cut: int) -> None:
+    def __init__(self, manipulator: Manipulator, cut: int, sizes: ListSizes) -> None:
+        self.sizes = sizes
         self._states, self._motions = manipulator.states, motions(manipulator)
         count, size = len(self._states), coordinates(self._motions)
         first, second = middle(manipulator, 0, cut), middle(manipulator, cut, count)
         self._ends = ((0, first), (first, cut), (cut, second), (second, count))
-        self._rows = [room_for(manipulator, *ends, ROWS) for ends in self._ends]
+        self._rows = [room_for(manipulator, *ends, sizes.quarter) for ends in self._ends]
         self._above, self.below = (Cells(len(self._rows[k].costs), size) for k in (3, 0))
         self._key: tuple[bytes, ...] = ()  # what is listed
         self.a: Side  # first quarter, inverse frames
@@ -200,7 +198,7 @@ class FourListProof:
         layers, first = four.layers[stream.upper], int(stream.done / four.unit + 1e-6)
         outer, inner = (four.c[0], four.d) if stream.upper else (four.b[1], self._inner)
         last, size = first + 1, float(layers[first : first + 1].sum())
-        while last < len(layers) and size < LAYER:
+        while last < len(layers) and size < four.sizes.layer:
             size += layers[last]
             last += 1
         if count * len(outer.costs) * LOOKUP <= size:
@@ -213,7 +211,7 @@ class FourListProof:
             stream.done - 1e-9 * four.unit,
             min(last * four.unit, unexplored) if last < len(layers) else unexplored,
         )
-        at_once = max(int(len(outer.costs) * AT_ONCE / max(size, 1.0)), 1)
+        at_once = max(int(len(outer.costs) * four.sizes.at_once / max(size, 1.0)), 1)
         for start in range(0, len(outer.costs), at_once):
             if incumbent.late:
                 return False
@@ -230,7 +228,7 @@ class FourListProof:
         else:
             outer, index = four.b[0], four.below.fill(self._inner, target.radius, target.chord)
         incumbent.clock.charge(filling(index))
-        at_once = max(AT_ONCE // (LOOKUP * len(outer.costs)), 1)
+        at_once = max(four.sizes.at_once // (LOOKUP * len(outer.costs)), 1)
         for start in range(0, count, at_once):
             if band.costs[start] + done >= incumbent.cost:
                 break

@@ -1,6 +1,7 @@
 """Two lists (meet in the middle): both halves of the arm are listed near a seed and matched for each goal."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,31 @@ Array = NDArray[np.float64]
 
 BAND_CELLS = 1 << 16  # cells of an index of few rows, in which many others are looked up
 AT_ONCE = 1 << 15  # lower rows matched between two checks of the deadline
+
+
+class ListSizes(NamedTuple):
+    """Sizes of all lists. Short lists leave more to proofs: tests take those that a small arm exceeds.
+
+    Attributes:
+        near: rows of a half in the near lists.
+        wide: rows of a half to extend a proof, if the incumbent costs little more than the near lists.
+        widest: rows of a half in the longest lists around the incumbent.
+        quarter: most rows of a quarter.
+        layer: fewest pairs of a layer of quarters, unless it is the last.
+        at_once: pairs of quarters between two checks of the deadline.
+    """
+
+    near: int = 1 << 14
+    wide: int = 1 << 16
+    widest: int = 1 << 18
+    quarter: int = 1 << 14
+    layer: int = 1 << 14
+    at_once: int = 1 << 17
+
+    @property
+    def ladder(self) -> tuple[int, int, int]:
+        """Rows of a half in lists around the incumbent."""
+        return self.near, self.wide, self.widest
 
 
 class TwoList:
