@@ -35,8 +35,12 @@ class CanBuses:
     def listen(self, heartbeat: float, least: float = LISTEN, apart: float = APART) -> None:
         """Listens for another master; blocks, so call it before the loop. Other frames are dropped.
 
-        `heartbeat`: the own period [s]; `least`: time to listen [s]; `apart`: see `APART`. Raises BusError if another master sends its heartbeat, or if another process of
-        this computer owns an interface.
+        Raises BusError if another master sends its heartbeat, or if another process of this computer owns an interface.
+
+        Args:
+            heartbeat: the own period [s].
+            least: shortest time to listen [s].
+            apart: see APART.
         """
         until = time.monotonic() + max(least, PERIODS * heartbeat)
         first: dict[str, float] = {}  # time of the first heartbeat, by bus

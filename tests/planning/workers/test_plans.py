@@ -1,14 +1,23 @@
-"""Plans of goals as functions of their tasks."""
+"""Plans of goals, their improvements and descriptions, as functions of their tasks."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hyperbit.controller.planning.core.tasks import Done, Planned, PrepareSearch
+from hyperbit.controller.motion.stages.feed import Improved, PlannedPoint
+from hyperbit.controller.planning.core.tasks import DescribePlan, Deviations, Done, ImprovePlan, Planned, PrepareSearch
 from hyperbit.controller.planning.workers import computations
-from hyperbit.controller.planning.workers.computations import Abandoned, plan_goal, prepare_search
+from hyperbit.controller.planning.workers.computations import (
+    Abandoned,
+    ArmModel,
+    describe,
+    improve,
+    plan_goal,
+    prepare_search,
+)
 from hyperbit.controller.refusals import codes
 from hyperbit.controller.refusals.refusal import Refusal
 from tests.planning.conftest import DOCUMENT, JOINT, unused_states
@@ -151,3 +160,116 @@ def test_a_search_is_prepared_until_it_is_abandoned(bench: Bench, monkeypatch: p
     assert prepare_search(bench.model, task, nothing) == Done()
     with pytest.raises(Abandoned):
         prepare_search(bench.model, task, abandoned)
+
+
+PATH = [A, B, C, A, (2, 2, 1, 0), (5, 1, 4, 0), B, C]
+
+
+@pytest.fixture
+def hasty(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Planned:
+    monkeypatch.setattr(computations, "PLANNING_TIME", 0.0)
+    message = bench.goal(*(bench.tip(*c) for c in PATH), tolerance={"position": 0.05})
+    return plan_goal(bench.model, bench.task(A, message=message), nothing)
+
+
+def improving(bench: Bench, planned: Planned, **changes: Any) -> ImprovePlan:
+    return ImprovePlan(planned.plan, math.inf, True, bench.tables, bench.free)._replace(**changes)
+
+
+def improvements(bench: Bench, wanted: ImprovePlan) -> list[Improved]:
+    deviations, *improved = improve(bench.model, wanted, nothing)
+    assert isinstance(deviations, Deviations)
+    return [answer for answer in improved if isinstance(answer, Improved)]
+
+
+def test_deviations_come_first(bench: Bench, hasty: Planned) -> None:
+    (deviations,) = improve(bench.model, improving(bench, hasty, search=False), nothing)
+    assert isinstance(deviations, Deviations)
+    assert len(deviations.values) == len(PATH)
+
+
+def test_an_improvement_has_all_points_from_the_first_changed_one(bench: Bench, hasty: Planned) -> None:
+    points, costs = list[PlannedPoint](hasty.points), [hasty.proof.cost]
+    improved = improvements(bench, improving(bench, hasty))
+    assert improved
+    for answer in improved:
+        assert answer.first >= 1
+        assert [point.point for point in answer.points] == list(range(answer.first, len(PATH)))
+        assert answer.points[0].stages != points[answer.first].stages
+        points[answer.first :] = answer.points
+        costs.append(answer.proof.cost)
+        stages = [stage for point in points for stage in point.stages]
+        assert answer.proof.switches == sum(point.switches for point in points) == bench.switches(bytes(2), stages)
+        assert all(point.deviation is not None for point in answer.points[:1])
+    assert costs[-1] < costs[0]
+
+
+def test_improvements_start_from_commanded_states_too(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(computations, "PLANNING_TIME", 0.0)
+    message = bench.goal(*(bench.tip(*c) for c in PATH), tolerance={"position": 0.05})
+    start = bench.start(commanded=bench.packed(1, 0, 0, 0))
+    planned = plan_goal(bench.model, bench.task(A, message=message, start=start), nothing)
+    deviations, *improved = improve(bench.model, improving(bench, planned), nothing)
+    assert isinstance(deviations, Deviations)
+    assert improved
+    assert all(isinstance(answer, Improved) and answer.first >= 1 for answer in improved)
+
+
+def test_improvements_that_would_collide_are_not_told(
+    bench: Bench, hasty: Planned, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = bench.scene(([5.0, 5.0], 0.1))
+    assert improvements(bench, improving(bench, hasty, scene=scene))
+    monkeypatch.setattr(type(scene.keep_out), "first_collision", lambda *_: "it collides")
+    assert not improvements(bench, improving(bench, hasty, scene=scene))
+
+
+def test_a_plan_for_other_locked_actuators_is_not_improved(bench: Bench, hasty: Planned) -> None:
+    assert not improvements(bench, improving(bench, hasty, tables=bench.tables._replace(generation=2)))
+
+
+def test_an_abandoned_improvement_ends(bench: Bench, hasty: Planned) -> None:
+    with pytest.raises(Abandoned):
+        next(improve(bench.model, improving(bench, hasty), abandoned))
+    answers = list[Any]()
+
+    def proceed() -> None:
+        if answers:
+            raise Abandoned
+
+    answering = improve(bench.model, improving(bench, hasty), proceed)
+    answers.append(next(answering))
+    with pytest.raises(Abandoned):
+        next(answering)
+
+
+def query(bench: Bench, seconds: float = 60.0) -> DescribePlan:
+    return DescribePlan(bench.task(A, B), seconds)
+
+
+@pytest.fixture
+def queries(bench: Bench) -> ArmModel:
+    return ArmModel(bench.arm, "queries")
+
+
+def test_a_plan_is_described_point_by_point(bench: Bench, queries: ArmModel) -> None:
+    payload = describe(queries, query(bench), nothing, lambda: False).payload
+    assert (payload["accepted"], len(payload["waypoints"])) == (True, 2)
+    assert payload["switches"] == sum(point["switches"] for point in payload["waypoints"])
+    assert payload["message"] == f"2 waypoints, {payload['switches']} switches"
+    labels = [label for point in payload["waypoints"] for stage in point["stages"] for label in stage]
+    assert len(labels) == payload["switches"]
+
+
+def test_a_description_in_haste_is_one(bench: Bench, queries: ArmModel) -> None:
+    assert describe(queries, query(bench), nothing, lambda: True).payload["accepted"]
+
+
+def test_a_query_that_takes_too_long_is_refused(bench: Bench, queries: ArmModel) -> None:
+    with pytest.raises(Refusal, match=r"planning took longer than -1 s"):
+        describe(queries, query(bench, seconds=-1.0), nothing, lambda: False)
+
+
+def test_an_abandoned_query_ends(bench: Bench, queries: ArmModel) -> None:
+    with pytest.raises(Abandoned):
+        describe(queries, query(bench), abandoned, lambda: False)
