@@ -15,7 +15,7 @@ from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.settings import TrackerSettings
 from hyperbit.controller.host.process import Log, Notify
 from hyperbit.controller.motion.tracking.tracking import tracking_of
-from hyperbit.controller.planning.core.events import Publish, Warned
+from hyperbit.controller.planning.core.events import Publish
 from hyperbit.controller.planning.core.premises import TipBiasEstimator
 from hyperbit.controller.planning.core.status import Status
 from hyperbit.controller.planning.core.stream import Stream
@@ -163,19 +163,9 @@ def test_warnings_come_after_faults_and_once(bench: StatusBench) -> None:
     assert bench.diagnostics()["ledger"] == "ok"
 
 
-def test_warnings_of_the_process_reach_the_state(desk: Desk) -> None:
-    desk.post(Warned((UNWRITTEN,)))
-    assert UNWRITTEN.code in [fault["code"] for fault in desk.state()["faults"]]
-    desk.post(Warned(()))
-    assert UNWRITTEN.code not in [fault["code"] for fault in desk.state()["faults"]]
-
-
-def test_before_the_first_connection_the_arm_is_starting(bench: StatusBench) -> None:
+def test_before_the_first_connection_the_arm_is_starting_and_a_lost_executor_is_told(bench: StatusBench) -> None:
     state = bench.state()
     assert (state["mode"], state["faults"], state["stamp"]) == ("starting", [], bench.wall)
-
-
-def test_a_lost_executor_is_told(bench: StatusBench) -> None:
     bench.show()
     bench.view.lost("the executor is gone")
     state = bench.state()
@@ -268,19 +258,16 @@ def test_faults_are_logged_once_with_their_fields(bench: StatusBench) -> None:
 def test_what_does_not_keep_the_arm_from_moving_is_logged_as_a_warning(bench: StatusBench) -> None:
     bench.show(mode="fault", faults=(Fault("board-limits", "can0/3", "its heartbeat time is rounded"),))
     bench.run(0.3)
-    (begun,) = bench.take(Log)
-    assert (begun.level, begun.text) == (logging.WARNING, "board-limits: its heartbeat time is rounded")
-
-
-def test_locks_are_logged_as_warnings_because_an_operator_may_want_them(bench: StatusBench) -> None:
-    bench.locks.states[0] = 1
+    bench.locks.states[0] = 1  # an operator may want it
     bench.show()
     bench.run(0.3)
-    (begun,) = bench.take(Log)
-    assert (begun.level, begun.text) == (logging.WARNING, "degraded: locked")
+    assert [(line.level, line.text) for line in bench.take(Log) if line.level > logging.INFO] == [
+        (logging.WARNING, "board-limits: its heartbeat time is rounded"),
+        (logging.WARNING, "degraded: locked"),
+    ]
 
 
-def test_systemd_is_told_the_mode_when_it_changes(bench: StatusBench) -> None:
+def test_systemd_is_told_the_mode_when_it_changes_and_whether_the_boards_are_simulated(bench: StatusBench) -> None:
     bench.show()
     bench.run(0.2)
     bench.show(mode="fault", reason="a board is lost")
@@ -288,9 +275,7 @@ def test_systemd_is_told_the_mode_when_it_changes(bench: StatusBench) -> None:
     words = [word.text for word in bench.take(Notify)]
     assert words == ["STATUS=ready: holding", "WATCHDOG=1", "STATUS=fault: a board is lost"]
 
-
-def test_systemd_is_told_that_the_boards_are_simulated(bench: StatusBench) -> None:
     bench.parts.simulated = True
-    bench.show()
-    bench.report()
+    bench.show(mode="ready", reason="holding")
+    bench.run(0.2)
     assert "STATUS=ready (simulated): holding" in [word.text for word in bench.take(Notify)]

@@ -17,14 +17,13 @@ from tests.waiting import eventually
 def test_counts_are_absolute_and_never_fall(ledger: Ledger, path: Path) -> None:
     ledger.counts([3, 0, 5])
     ledger.counts([2, 1, 6])
+    ledger.counts([9, 9])  # of another arm
     assert ledger.known == (3, 1, 6)
     ledger.close()
     assert read(path)[0] == {"1.left": 3, "1.diagonal": 1, "1.right": 6}
-
-
-def test_counts_of_another_arm_are_not_taken(ledger: Ledger) -> None:
-    ledger.counts([3, 0])
-    assert ledger.known == (0, 0, 0)
+    again = Ledger(path, ("1.right", "1.left", "2.left"))
+    assert again.known == (6, 3, 0)
+    again.close()
 
 
 def test_goals_have_their_results(ledger: Ledger, path: Path) -> None:
@@ -42,6 +41,12 @@ def test_goals_have_their_results(ledger: Ledger, path: Path) -> None:
     ]
     assert (goals[1]["accepted"], goals[1]["ended"]) == (1.8e9, 1.9e9)
     assert {(goal["instance"], goal["program"]) for goal in goals} == {(EXECUTOR, 1), (EXECUTOR, 2), (EXECUTOR, 3)}
+    found, running = find(path, "a"), find(path, "b")  # the newest of an id
+    assert found is not None
+    assert (found["status"], found["code"], found["message"], found["switches"]) == ("aborted", -4, "stuck", 1)
+    assert running is not None
+    assert running["ended"] is None
+    assert find(path, "c") is None
 
 
 def test_the_next_run_owes_the_results_of_the_last_and_finds_their_goals(path: Path) -> None:
@@ -111,14 +116,6 @@ def test_a_thread_that_dies_is_fatal(path: Path) -> None:
     ledger.close()
 
 
-def test_it_continues_with_the_counts_of_before(ledger: Ledger, path: Path) -> None:
-    ledger.counts([4, 0, 1])
-    ledger.close()
-    again = Ledger(path, ("1.right", "1.left", "2.left"))
-    assert again.known == (1, 4, 0)
-    again.close()
-
-
 def test_records_that_wait_share_one_transaction(path: Path) -> None:
     transactions: list[int] = []
     writes, goes_on = Event(), Event()
@@ -177,18 +174,3 @@ def test_what_cannot_be_written_is_kept_and_written_later(tmp_path: Path) -> Non
     assert switches == {"1.left": 1}
     assert [goal["status"] for goal in goals] == ["succeeded"]
     assert reported == [2, 3]
-
-
-def test_the_newest_goal_of_an_id_is_found(ledger: Ledger, path: Path) -> None:
-    ledger.record(accepted(1, "a"))
-    ledger.record(ended(1, ResultEntry(1.9e9, "succeeded", 0, "reached", 12)))
-    ledger.record(accepted(2, "a"))
-    ledger.record(ended(2, ResultEntry(1.9e9, "aborted", -4, "stuck", 1)))
-    ledger.record(accepted(3, "b"))
-    ledger.close()
-    found, running = find(path, "a"), find(path, "b")
-    assert found is not None
-    assert (found["status"], found["code"], found["message"], found["switches"]) == ("aborted", -4, "stuck", 1)
-    assert running is not None
-    assert running["ended"] is None
-    assert find(path, "c") is None

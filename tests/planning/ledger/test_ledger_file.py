@@ -194,11 +194,6 @@ def test_one_process_has_the_ledger_and_a_killed_one_frees_it_and_loses_nothing(
     again.close()
 
 
-def test_the_same_process_may_open_it_again_after_closing(path: Path) -> None:
-    Ledger(path, NAMES).close()
-    Ledger(path, NAMES).close()
-
-
 def test_the_folder_is_that_of_systemd_or_of_the_user(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
@@ -208,14 +203,12 @@ def test_the_folder_is_that_of_systemd_or_of_the_user(monkeypatch: pytest.Monkey
     assert default_path("a", simulated=True) == Path("/var/lib/hyperbit/simulated/a.sqlite")
 
 
-def test_a_missing_ledger_is_an_error_and_not_made(path: Path) -> None:
+def test_a_missing_ledger_is_an_error_not_made_and_no_word_in_the_log(
+    path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
     with pytest.raises(sqlite3.Error):
         read(path)
     assert (counted(path), owed(path)) == ({}, {})
     assert not path.parent.exists()
-
-
-def test_the_first_start_is_no_word_in_the_log(tmp_path, caplog):
-    caplog.set_level("INFO")
-    assert counted(tmp_path / "none.sqlite") == {}
     assert not caplog.records
