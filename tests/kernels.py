@@ -18,7 +18,7 @@ def bench() -> dict[str, set[str]]:
         f"hyperbit.controller.bench.methods.{path.stem}"
         for path in (ROOT / "controller/bench/methods").glob("[!_]*.py")
     ]
-    own = {name for name in names if "@njit(" in source(name)}
+    own = {name for name in names if "@kernel(" in source(name)}
     return {name: imports(name) & own for name in own}
 
 

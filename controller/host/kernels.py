@@ -2,14 +2,18 @@
 
     python -m hyperbit.controller.host.kernels
 
-numba compiles a kernel when its module is imported, and stores the machine code in its cache. A single process that
-imports all modules takes minutes. Here a separate process imports each module, after its dependencies.
+numba compiles a kernel at its first call, and stores the machine code in its cache. A single process that compiles all
+kernels takes minutes. Here a separate process compiles those of each module, after those that they call.
 """
 
 import ast
 import importlib
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hyperbit.controller.host.kernel import Kernel
 
 ROOTS = (
     *(f"hyperbit.controller.commands.operate.{name}" for name in ("demo", "run")),
@@ -48,7 +52,7 @@ def kernels(roots: tuple[str, ...] = ROOTS) -> dict[str, set[str]]:
         return known[module]
 
     everything = set().union(*(below(root) for root in roots))
-    compiled = {name for name in everything if "@njit(" in source(name)}
+    compiled = {name for name in everything if "@kernel(" in source(name)}
     return {name: below(name) & compiled - {name} for name in compiled}
 
 
@@ -78,9 +82,9 @@ def fork(module: str) -> int:
         return child
     status = 1
     try:
-        imported = importlib.import_module(module)
-        for variant in getattr(imported, "KERNEL_VARIANTS", ()):  # signatures of a kernel that is compiled on demand
-            imported.kernel(*variant)
+        importlib.import_module(module)
+        for kernel in own_kernels(module):
+            kernel.load()
         status = 0
     finally:
         if status:
@@ -88,6 +92,12 @@ def fork(module: str) -> int:
 
             traceback.print_exc()
         os._exit(status)
+
+
+def own_kernels(module: str) -> "list[Kernel]":
+    from hyperbit.controller.host.kernel import kernels
+
+    return [kernel for kernel in kernels if kernel.__module__ == module]
 
 
 def drop_indexes() -> None:

@@ -231,6 +231,7 @@ class Solver:
         clearance, whole = arm.clearance(reduced, self._regions), self.list_whole
         solver = search.Solver(reduced, self.arm._densities, self._weights, clearance, list_whole=whole)
         solver.prepare()
+        solver.rehearse()
         return solver
 
     def _searches(self, count: int) -> list[search.Solver]:

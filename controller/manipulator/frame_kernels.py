@@ -1,14 +1,13 @@
 """Kernels on frames. They are apart from `frames`, so that programs without kernels do not import numba."""
 
-from numba import njit
-
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.manipulator.frames import Array
 
-angle_between = njit("f8(f8[:,:], f8[:,:])", cache=True, nogil=True)(frames.angle_between)
+angle_between = kernel("f8(f8[:,:], f8[:,:])")(frames.angle_between)
 
 
-@njit("void(f8[:,::1], f8[::1])", cache=True, nogil=True)
+@kernel("void(f8[:,::1], f8[::1])")
 def set_identity(r: Array, b: Array) -> None:
     """Writes the identity as rotation (3, 3) and translation (3,).
 
@@ -20,7 +19,7 @@ def set_identity(r: Array, b: Array) -> None:
             r[i, j] = 1.0 if i == j else 0.0
 
 
-@njit("void(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1])", cache=True, nogil=True, inline="always")
+@kernel("void(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1])", inline="always")
 def compose(r: Array, b: Array, s: Array, c: Array, turned: Array, moved: Array) -> None:
     """Writes the product (R S, b + R c) of the frames (R, b) and (S, c). The output may be (R, b) itself."""
     for i in range(3):

@@ -14,7 +14,7 @@ S1 = int32[::1]
 
 # Options of small kernels that allocate nothing. numba counts the references of each array that a kernel takes from a
 # NamedTuple or slices. In small kernels this takes several times as long as the arithmetic, and `_nrt` switches it off.
-UNCOUNTED: dict[str, Any] = {"cache": True, "nogil": True, "_nrt": False}
+UNCOUNTED: dict[str, Any] = {"_nrt": False}
 
 
 def named(kind: type, *parts: Any) -> Any:

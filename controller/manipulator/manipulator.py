@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from hyperbit.controller.armfile.locks import STATES
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.frames import Frame
 from hyperbit.controller.manipulator.module import Module
 
@@ -141,7 +141,7 @@ def excluded(module: Module, states: NDArray[np.generic]) -> str:
     return " and ".join(f"{name} is {STATES[bool(state)]}" for name, state, odd in named if odd or not any(alone))
 
 
-@njit("f8[:,::1](f8[:,::1], f8[:,:,:,::1], i8[:])", cache=True, nogil=True, boundscheck=True)
+@kernel("f8[:,::1](f8[:,::1], f8[:,:,:,::1], i8[:])", boundscheck=True)
 def tip(base: Frame, frames: Frame, configuration: Configuration) -> Frame:
     """Returns the tip frame (4, 4) of a configuration (B,) from the base (4, 4) and the frames (B, Kmax, 4, 4)."""
     frame, following = base.copy(), np.empty((4, 4))
@@ -156,7 +156,7 @@ def tip(base: Frame, frames: Frame, configuration: Configuration) -> Frame:
     return frame
 
 
-@njit("f8[:,:,::1](f8[:,::1], f8[:,:,:,::1], i8[:,::1])", cache=True, nogil=True, boundscheck=True)
+@kernel("f8[:,:,::1](f8[:,::1], f8[:,:,:,::1], i8[:,::1])", boundscheck=True)
 def tips(base: Frame, frames: Frame, configurations: NDArray[np.int64]) -> Frame:
     """Returns the tip frames (n, 4, 4) of configurations (n, B), see tip."""
     result = np.empty((len(configurations), 4, 4))

@@ -3,8 +3,9 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import float64, int64, njit, types
+from numba import float64, int64, types
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.frame_kernels import compose
 from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, F4, F5, I1, I2, UNCOUNTED, named
 from hyperbit.controller.obstacles.distance import SURROUNDINGS, Array, Index, Surroundings, first_obstacle, placed
@@ -32,7 +33,7 @@ WORLD_BODIES = named(WorldBodies, F4, F2)
 TOUCH: Any = types.UniTuple(int64, 2)  # type: ignore[no-untyped-call]
 
 
-@njit("f8(f8[:,::1], f8[:,::1])", **UNCOUNTED, error_model="numpy")
+@kernel("f8(f8[:,::1], f8[:,::1])", **UNCOUNTED, error_model="numpy")
 def lines_distance(first: Array, second: Array) -> float:
     """Returns the distance between two line segments (2, 3).
 
@@ -62,7 +63,7 @@ def lines_distance(first: Array, second: Array) -> float:
     return float(np.sqrt(square))
 
 
-@njit(int64(WORLD_BODIES, I1, int64, float64), **UNCOUNTED)
+@kernel(int64(WORLD_BODIES, I1, int64, float64), **UNCOUNTED)
 def first_module(world: WorldBodies, lines: Index, i: int, apart: float) -> int:
     """Returns the first module below module i that is at most `apart` away, without its neighbour; -1 for none.
 
@@ -82,7 +83,7 @@ def first_module(world: WorldBodies, lines: Index, i: int, apart: float) -> int:
     return -1
 
 
-@njit([TOUCH(ARM_BODIES, SURROUNDINGS, int64, int64, F2, F1, WORLD_BODIES)], **UNCOUNTED, error_model="numpy")
+@kernel([TOUCH(ARM_BODIES, SURROUNDINGS, int64, int64, F2, F1, WORLD_BODIES)], **UNCOUNTED, error_model="numpy")
 def first_touch(
     arm: ArmBodies, surroundings: Surroundings, i: int, state: int, r: Array, b: Array, world: WorldBodies
 ) -> tuple[int, int]:
@@ -104,7 +105,7 @@ def first_touch(
     return -1, first_module(world, arm.lines, i, surroundings.apart)
 
 
-@njit(I2(F2, F1, ARM_BODIES, SURROUNDINGS, I2), cache=True, nogil=True)
+@kernel(I2(F2, F1, ARM_BODIES, SURROUNDINGS, I2))
 def first_collisions(
     base_r: Array, base_b: Array, arm: ArmBodies, surroundings: Surroundings, configurations: Index
 ) -> Index:

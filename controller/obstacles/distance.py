@@ -9,9 +9,10 @@ the segment crosses the planes of the box's faces.
 from typing import NamedTuple
 
 import numpy as np
-from numba import float64, int64, njit
+from numba import float64, int64
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, I1, UNCOUNTED, named
 
 Array = NDArray[np.float64]
@@ -34,7 +35,7 @@ class Surroundings(NamedTuple):
 SURROUNDINGS = named(Surroundings, I1, F3, F2, F2, float64, float64)
 
 
-@njit("f8(i8, f8[:,::1], f8[::1], f8[::1], f8, f8, f8)", **UNCOUNTED, error_model="numpy")
+@kernel("f8(i8, f8[:,::1], f8[::1], f8[::1], f8, f8, f8)", **UNCOUNTED, error_model="numpy")
 def signed_distance(kind: int, axes: Array, centre: Array, size: Array, x: float, y: float, z: float) -> float:
     """Returns the signed distance of a point from an obstacle, negative inside."""
     x, y, z = x - centre[0], y - centre[1], z - centre[2]
@@ -50,7 +51,7 @@ def signed_distance(kind: int, axes: Array, centre: Array, size: Array, x: float
     return float(np.sqrt(square) if deepest > 0 else deepest)
 
 
-@njit("f8(f8[::1], UniTuple(f8, 3), UniTuple(f8, 3), f8)", **UNCOUNTED, inline="always")
+@kernel("f8(f8[::1], UniTuple(f8, 3), UniTuple(f8, 3), f8)", **UNCOUNTED, inline="always")
 def slope(half: Array, start: tuple[float, ...], way: tuple[float, ...], t: float) -> float:
     """Returns half the derivative of the squared distance from a box along a line, in the frame of the box."""
     total = 0.0
@@ -63,7 +64,7 @@ def slope(half: Array, start: tuple[float, ...], way: tuple[float, ...], t: floa
     return total
 
 
-@njit("f8(f8[::1], UniTuple(f8, 3), UniTuple(f8, 3))", **UNCOUNTED, error_model="numpy")
+@kernel("f8(f8[::1], UniTuple(f8, 3), UniTuple(f8, 3))", **UNCOUNTED, error_model="numpy")
 def nearest_to_box(half: Array, start: tuple[float, ...], way: tuple[float, ...]) -> float:
     """Returns the place on a segment that is nearest to a box, from 0 at its start to 1 at its end."""
     low, high = 0.0, 1.0
@@ -88,7 +89,7 @@ def nearest_to_box(half: Array, start: tuple[float, ...], way: tuple[float, ...]
     return float(low - (high - low) * falling / (rising - falling))
 
 
-@njit(
+@kernel(
     "f8(i8, f8[:,::1], f8[::1], f8[::1], UniTuple(f8, 3), UniTuple(f8, 3))",
     **UNCOUNTED,
     error_model="numpy",
@@ -125,7 +126,7 @@ def segment_distance(
     return float(np.sqrt(square))
 
 
-@njit("UniTuple(f8, 3)(f8[:,::1], f8[::1], f8[::1])", **UNCOUNTED)
+@kernel("UniTuple(f8, 3)(f8[:,::1], f8[::1], f8[::1])", **UNCOUNTED)
 def placed(r: Array, b: Array, point: Array) -> tuple[float, float, float]:
     """Returns b + R p."""
     x, y, z = point[0], point[1], point[2]
@@ -136,7 +137,7 @@ def placed(r: Array, b: Array, point: Array) -> tuple[float, float, float]:
     )
 
 
-@njit(
+@kernel(
     int64(F2, F1, F3, F1, SURROUNDINGS, float64),
     **UNCOUNTED,
     error_model="numpy",

@@ -7,9 +7,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import int64, njit, types
+from numba import int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.frame_kernels import compose
 from hyperbit.controller.manipulator.kernel_types import F2, F3, I1, UNCOUNTED, named
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
@@ -60,7 +61,7 @@ def scene_of(manipulator: Manipulator, clearance: BodyClearance | None) -> Scene
     )
 
 
-@njit(types.boolean(SCENE, int64), **UNCOUNTED, error_model="numpy")
+@kernel(types.boolean(SCENE, int64), **UNCOUNTED, error_model="numpy")
 def module_collides(scene: Scene, i: int) -> bool:
     """Returns whether module i, in its state and on the frame below it, touches an obstacle or a module below.
 
@@ -71,7 +72,7 @@ def module_collides(scene: Scene, i: int) -> bool:
     return bool(obstacle >= 0 or other >= 0)
 
 
-@njit(types.void(SCENE, int64), **UNCOUNTED)
+@kernel(types.void(SCENE, int64), **UNCOUNTED)
 def carry(scene: Scene, i: int) -> None:
     """Writes the frame above module i for its state."""
     s, t = scene.arm.rotations[i, scene.states[i]], scene.arm.translations[i, scene.states[i]]
@@ -79,7 +80,7 @@ def carry(scene: Scene, i: int) -> None:
     compose(r[i], b[i], s, t, r[i + 1], b[i + 1])
 
 
-@njit(types.boolean(SCENE, int64, int64), **UNCOUNTED)
+@kernel(types.boolean(SCENE, int64, int64), **UNCOUNTED)
 def segment_collides(scene: Scene, first: int, last: int) -> bool:
     """Returns whether any of modules first+1 to last collides, in their states, on the frame below them."""
     for i in range(first, last):
@@ -89,7 +90,7 @@ def segment_collides(scene: Scene, first: int, last: int) -> bool:
     return False
 
 
-@njit(types.boolean(SCENE, I1), **UNCOUNTED)
+@kernel(types.boolean(SCENE, I1), **UNCOUNTED)
 def collides(scene: Scene, configuration: Configuration) -> bool:
     """Returns whether the arm collides in a configuration (B,)."""
     for i in range(len(configuration)):
@@ -97,7 +98,7 @@ def collides(scene: Scene, configuration: Configuration) -> bool:
     return bool(segment_collides(scene, 0, len(configuration)))
 
 
-@njit(types.void(SCENE, int64, int64), **UNCOUNTED)
+@kernel(types.void(SCENE, int64, int64), **UNCOUNTED)
 def set_state(scene: Scene, i: int, state: int) -> None:
     """Sets a state of module i that is known to be clear, and writes the frame above it."""
     scene.states[i] = state

@@ -12,9 +12,10 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import boolean, int64, njit, types
+from numba import boolean, int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, F4, F5, I1, I2, UNCOUNTED, named
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.manipulator.module import Module
@@ -161,7 +162,7 @@ def switch_scratch(clearance: BodyClearance, modules: int) -> SwitchScratch:
     return SwitchScratch(chains, motion, switching, suspects, reports, waiting, collided)
 
 
-@njit(types.void(CHAINS, int64, F2, F1, F3, F1), **UNCOUNTED)
+@kernel(types.void(CHAINS, int64, F2, F1, F3, F1), **UNCOUNTED)
 def put_module(chains: Chains, i: int, r: Array, b: Array, body: Array, ball: Array) -> None:
     """Writes the frame above module i and its body (L, 2, 3) with its ball (4,)."""
     for c in range(3):
@@ -175,7 +176,7 @@ def put_module(chains: Chains, i: int, r: Array, b: Array, body: Array, ball: Ar
         chains.balls[0, i, c] = ball[c]
 
 
-@njit(types.void(ARM_SWITCHES, ARM_BODIES, I1, SWITCH_SCRATCH), **UNCOUNTED)
+@kernel(types.void(ARM_SWITCHES, ARM_BODIES, I1, SWITCH_SCRATCH), **UNCOUNTED)
 def place_arm(switches: ArmSwitches, arm: ArmBodies, configuration: Index, scratch: SwitchScratch) -> None:
     """Writes the arm in a configuration (B,)."""
     chains = scratch.chains
@@ -188,7 +189,7 @@ def place_arm(switches: ArmSwitches, arm: ArmBodies, configuration: Index, scrat
         put_module(chains, i, arm.rotations[i, k], arm.translations[i, k], arm.bodies[i, k], arm.balls[i, k])
 
 
-@njit(boolean(ARM_SWITCHES, ARM_BODIES, SURROUNDINGS, I1, int64, SWITCH_SCRATCH), **UNCOUNTED)
+@kernel(boolean(ARM_SWITCHES, ARM_BODIES, SURROUNDINGS, I1, int64, SWITCH_SCRATCH), **UNCOUNTED)
 def switch_is_clear(
     switches: ArmSwitches,
     arm: ArmBodies,

@@ -10,9 +10,10 @@ from an obstacle than the sum of its bounds, in the middle of the box, is clear 
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import boolean, float64, int64, njit, types
+from numba import boolean, float64, int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.frame_kernels import compose
 from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, F4, F5, I1, I2, UNCOUNTED, named
 from hyperbit.controller.obstacles.collision import lines_distance
@@ -59,7 +60,7 @@ NEAR: Any = types.Tuple((int64, float64, boolean))  # type: ignore[no-untyped-ca
 WORST: Any = types.Tuple((int64, int64, boolean))  # type: ignore[no-untyped-call]
 
 
-@njit(float64(F2, F1, F3, F2, F1, F3, F3), **UNCOUNTED)
+@kernel(float64(F2, F1, F3, F2, F1, F3, F3), **UNCOUNTED)
 def body_distance(r: Array, b: Array, body: Array, s: Array, c: Array, other: Array, segments: Array) -> float:
     """Returns the distance of two bodies (L, 2, 3) in frames (r, b) and (s, c); `segments` (2, 2, 3) is scratch."""
     least, first, second = np.inf, segments[0], segments[1]
@@ -73,19 +74,19 @@ def body_distance(r: Array, b: Array, body: Array, s: Array, c: Array, other: Ar
     return least
 
 
-@njit(float64(POINT, float64, float64, float64), **UNCOUNTED, inline="always")
+@kernel(float64(POINT, float64, float64, float64), **UNCOUNTED, inline="always")
 def away(point: Point, x: float, y: float, z: float) -> float:
     return float(np.sqrt((point[0] - x) ** 2 + (point[1] - y) ** 2 + (point[2] - z) ** 2))
 
 
-@njit(float64(BOX_MOTION, int64, POINT, float64), **UNCOUNTED, inline="always")
+@kernel(float64(BOX_MOTION, int64, POINT, float64), **UNCOUNTED, inline="always")
 def lever(motion: BoxMotion, i: int, middle: Point, radius: float) -> float:
     """Returns the greatest distance of a point of a ball from the top frame of module i."""
     positions = motion.positions
     return float(away(middle, positions[i + 1, 0], positions[i + 1, 1], positions[i + 1, 2]) + radius)
 
 
-@njit(float64(BOX_MOTION, int64, POINT, float64), **UNCOUNTED, inline="always")
+@kernel(float64(BOX_MOTION, int64, POINT, float64), **UNCOUNTED, inline="always")
 def carried(motion: BoxMotion, i: int, middle: Point, radius: float) -> float:
     """Returns how far module i moves the points of a ball above it at most."""
     moved = 0.0
@@ -94,7 +95,7 @@ def carried(motion: BoxMotion, i: int, middle: Point, radius: float) -> float:
     return float(moved)
 
 
-@njit(types.void(CHAINS, SWITCHING, int64, BOX_MOTION), **UNCOUNTED)
+@kernel(types.void(CHAINS, SWITCHING, int64, BOX_MOTION), **UNCOUNTED)
 def write_motion(chains: Chains, switching: Switching, box: int, motion: BoxMotion) -> None:
     """Writes the arm in the middle of a box, and the bounds on its motion."""
     owners, rates, half_widths = switching
@@ -112,7 +113,7 @@ def write_motion(chains: Chains, switching: Switching, box: int, motion: BoxMoti
         compose(r[i], b[i], chains.rotations[box, i + 1], chains.translations[box, i + 1], r[i + 1], b[i + 1])
 
 
-@njit([NEAR(CHAINS, int64, BOX_MOTION, SURROUNDINGS, int64, POINT)], **UNCOUNTED)
+@kernel([NEAR(CHAINS, int64, BOX_MOTION, SURROUNDINGS, int64, POINT)], **UNCOUNTED)
 def near_obstacle(
     chains: Chains, box: int, motion: BoxMotion, surroundings: Surroundings, j: int, middle: Point
 ) -> tuple[int, float, bool]:
@@ -129,7 +130,7 @@ def near_obstacle(
     return obstacle, swept, obstacle >= 0 and first_obstacle(r, b, body, ball, surroundings, margin) >= 0
 
 
-@njit([NEAR(CHAINS, int64, BOX_MOTION, float64, int64, POINT)], **UNCOUNTED)
+@kernel([NEAR(CHAINS, int64, BOX_MOTION, float64, int64, POINT)], **UNCOUNTED)
 def near_module(
     chains: Chains, box: int, motion: BoxMotion, apart: float, j: int, middle: Point
 ) -> tuple[int, float, bool]:
@@ -151,7 +152,7 @@ def near_module(
     return -1, swept, False
 
 
-@njit([WORST(CHAINS, int64, BOX_MOTION, SURROUNDINGS, boolean[:, ::1], I2)], **UNCOUNTED)
+@kernel([WORST(CHAINS, int64, BOX_MOTION, SURROUNDINGS, boolean[:, ::1], I2)], **UNCOUNTED)
 def check_box(
     chains: Chains, box: int, motion: BoxMotion, surroundings: Surroundings, suspects: Flags, reports: Index
 ) -> tuple[int, int, bool]:
@@ -179,7 +180,7 @@ def check_box(
     return worst, lowest, False
 
 
-@njit(int64(CHAINS, SWITCHING, int64, BOX_MOTION, int64, int64), **UNCOUNTED)
+@kernel(int64(CHAINS, SWITCHING, int64, BOX_MOTION, int64, int64), **UNCOUNTED)
 def widest_actuator(chains: Chains, switching: Switching, box: int, motion: BoxMotion, worst: int, lowest: int) -> int:
     """Returns the actuator of modules lowest to worst that adds most to the bound on the motion of module worst."""
     owners, rates, half_widths = switching
@@ -197,7 +198,7 @@ def widest_actuator(chains: Chains, switching: Switching, box: int, motion: BoxM
     return widest
 
 
-@njit(I1(CHAINS, SWITCHING, SURROUNDINGS, boolean[:, ::1], I2), cache=True, nogil=True)
+@kernel(I1(CHAINS, SWITCHING, SURROUNDINGS, boolean[:, ::1], I2))
 def swept_check(
     chains: Chains, switching: Switching, surroundings: Surroundings, suspects: Flags, reports: Index
 ) -> Index:

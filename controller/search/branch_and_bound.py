@@ -10,9 +10,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import boolean, float64, int64, njit, types
+from numba import boolean, float64, int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, UNCOUNTED, named
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
@@ -132,7 +133,7 @@ def start(target: SearchTarget, seed: Configuration, bound: float) -> Walk:
     return Walk(points, headings, np.zeros(levels), tried, seed.copy(), level, bounds, nodes)
 
 
-@njit([PLACE(F2, int64, float64, float64)], **UNCOUNTED, inline="always")
+@kernel([PLACE(F2, int64, float64, float64)], **UNCOUNTED, inline="always")
 def seen_above(motions: Array, row: int, x: float, y: float) -> tuple[float, float]:
     """Returns a point (x, y) as seen from the frame above a module in a state, a row of `motions`."""
     c, s = motions[row, 2], motions[row, 3]
@@ -140,7 +141,7 @@ def seen_above(motions: Array, row: int, x: float, y: float) -> tuple[float, flo
     return c * dx + s * dy, c * dy - s * dx
 
 
-@njit(int64(MAPS, int64, float64, float64, float64), **UNCOUNTED, inline="always")
+@kernel(int64(MAPS, int64, float64, float64, float64), **UNCOUNTED, inline="always")
 def cost_to_go(maps: Maps, level: int, x: float, y: float, per: float) -> int:
     """Returns the cost to go of a point (x, y) in a map of `per` pixels per unit of length; see Maps."""
     u, v = (x - maps.corners[level, 0]) * per, (y - maps.corners[level, 1]) * per
@@ -150,7 +151,7 @@ def cost_to_go(maps: Maps, level: int, x: float, y: float, per: float) -> int:
     return int(maps.values[maps.offsets[level] + int(u) * ny + int(v)])
 
 
-@njit(
+@kernel(
     for_scenes(lambda scene: boolean(TREE, MAPS, HEADINGS, QUERY, scene, WALK, int64)),
     **UNCOUNTED,
     error_model="numpy",

@@ -1,9 +1,10 @@
 """All configurations of an arm that has few: each answer is then optimal, and a goal that is missed is out of reach."""
 
 import numpy as np
-from numba import boolean, float64, int64, njit, types
+from numba import boolean, float64, int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.frames import Frame
 from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, I1, I2
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
@@ -58,7 +59,7 @@ class Enumeration:
         spread(costs, self._states, values)
 
 
-@njit(for_scenes(lambda scene: FOUND(QUERY, scene, I2, F3, F2)), cache=True, nogil=True)
+@kernel(for_scenes(lambda scene: FOUND(QUERY, scene, I2, F3, F2)))
 def best(
     query: SearchQuery, scene: Scene | None, configurations: Integers, tips: Frame, costs: Array
 ) -> tuple[int, float, float]:
@@ -81,7 +82,7 @@ def best(
     return found, least, nearest
 
 
-@njit(boolean[::1](QUERY, F3), cache=True, nogil=True)
+@kernel(boolean[::1](QUERY, F3))
 def all_within(query: SearchQuery, tips: Frame) -> Flags:
     """Returns which tips (n, 4, 4) are within the tolerances of a query."""
     result = np.empty(len(tips), np.bool_)
@@ -90,7 +91,7 @@ def all_within(query: SearchQuery, tips: Frame) -> Flags:
     return result
 
 
-@njit(types.void(F3, I1, F1), cache=True, nogil=True)
+@kernel(types.void(F3, I1, F1))
 def spread(costs: Array, states: Integers, values: Array) -> None:
     """Sets each value to the least of all values (n,) plus costs, see `Enumeration.spread`.
 

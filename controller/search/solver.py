@@ -29,6 +29,7 @@ from hyperbit.controller.workspace.hull import build_hull
 
 Vector = NDArray[np.float64]
 
+REHEARSAL = 50.0  # effort of a search that loads kernels
 CANDIDATE_ROWS = 1 << 12  # rows of each half among which candidates are matched
 
 
@@ -93,6 +94,16 @@ class Solver:
         """Allocates the memory of minimum-switch searches, so that the first searches do not wait for it."""
         if self.enumeration is None:
             self.minimum.claim()
+
+    def rehearse(self) -> None:
+        """Searches two goals without use, so that the first searches do not wait for machine code of kernels."""
+        far = self.manipulator.states - 1
+        near = far.copy()
+        near[-1] = 0
+        for seed in (np.zeros_like(far), near):
+            position = self.manipulator.tip(far)[: self.manipulator.dimension, 3]
+            target = self.target(position, 1e-3 * self.manipulator.length)
+            self.solve(target, seed, timeout=SearchTime(REHEARSAL * EFFORT, by_work=True))
 
     def expect(self, previous: ArrayLike, tolerance: float) -> Iterator[None]:
         """Prepares a minimum-switch search from a configuration (B,), step by step, before its goal is known.

@@ -6,9 +6,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numba import float64, njit, types
+from numba import float64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.frame_kernels import angle_between
 from hyperbit.controller.manipulator.frames import Frame
 from hyperbit.controller.manipulator.kernel_types import F2, F4, I1, named
@@ -145,14 +146,14 @@ def search_radius(manipulator: Manipulator, tolerance: float) -> float:
     return tolerance + SLACK * (tolerance + lengths)
 
 
-@njit("f8(f8[:,:], f8[:,:])", cache=True, nogil=True)
+@kernel("f8(f8[:,:], f8[:,:])")
 def distance(tip: Frame, goal: Frame) -> float:
     """Returns the distance between the positions of two frames (4, 4)."""
     x, y, z = tip[0, 3] - goal[0, 3], tip[1, 3] - goal[1, 3], tip[2, 3] - goal[2, 3]
     return math.sqrt(x * x + y * y + z * z)
 
 
-@njit("f8(f8[:,:], f8[:,:], f8)", cache=True, nogil=True)
+@kernel("f8(f8[:,:], f8[:,:], f8)")
 def squared_error(tip: Frame, goal: Frame, weight: float) -> float:
     """Returns the squared error of a tip (4, 4), by the weight of rotations, see SearchTarget."""
     square, chord = distance(tip, goal) ** 2, 0.0
@@ -163,7 +164,7 @@ def squared_error(tip: Frame, goal: Frame, weight: float) -> float:
     return square + weight**2 * 0.5 * chord
 
 
-@njit("b1(f8[:,:], f8[:,:], f8, f8)", cache=True, nogil=True)
+@kernel("b1(f8[:,:], f8[:,:], f8, f8)")
 def within(tip: Frame, goal: Frame, tolerance: float, angle_tolerance: float) -> bool:
     """Returns whether a tip (4, 4) is within the tolerances of a goal (4, 4): the one definition.
 
@@ -178,7 +179,7 @@ def within(tip: Frame, goal: Frame, tolerance: float, angle_tolerance: float) ->
     return angle_tolerance == math.inf or angle_between(tip, goal) <= angle_tolerance
 
 
-@njit(types.boolean(QUERY, I1), cache=True, nogil=True)
+@kernel(types.boolean(QUERY, I1))
 def reaches(query: SearchQuery, configuration: Configuration) -> bool:
     """Returns whether the tip of a configuration (B,) is within the tolerances of a query."""
     tip = tip_of(query.base, query.frames, configuration)

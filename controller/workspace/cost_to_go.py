@@ -10,9 +10,10 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numba import float64, int16, int64, njit, types
+from numba import float64, int16, int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, I2, named
 from hyperbit.controller.manipulator.manipulator import Manipulator
 
@@ -124,7 +125,7 @@ def in_levels(costs: Array) -> tuple[float, Levels]:
     return unit, (costs / unit + 1e-11).astype(np.int16)
 
 
-@njit("UniTuple(i8, 2)(f8, f8, i8, i8, i8)", cache=True, nogil=True, error_model="numpy")
+@kernel("UniTuple(i8, 2)(f8, f8, i8, i8, i8)", error_model="numpy")
 def inside(start: float, step: float, size: int, low: int, high: int) -> tuple[int, int]:
     """Returns the range of v = low..high-1 with 0 <= start + v * step < size << FRACTION."""
     top = float(size << FRACTION) - 1.0
@@ -136,7 +137,7 @@ def inside(start: float, step: float, size: int, low: int, high: int) -> tuple[i
     return int(max(float(low), np.ceil(one + 1e-9))), int(min(float(high), np.floor(other - 1e-9) + 1.0))
 
 
-@njit(types.void(int16[::1], int64, int64, int16[::1]), cache=True, nogil=True)
+@kernel(types.void(int16[::1], int64, int64, int16[::1]))
 def write_window(values: Levels, nx: int, ny: int, window: Levels) -> None:
     """Writes the least value of each pixel and its eight neighbours; UNREACHABLE along the edge."""
     before, nothing = np.empty(ny, dtype=np.int16), np.int16(UNREACHABLE)
@@ -157,10 +158,8 @@ def write_window(values: Levels, nx: int, ny: int, window: Levels) -> None:
         window[v] = window[(nx - 1) * ny + v] = nothing
 
 
-@njit(
+@kernel(
     types.void(MAPS, int64, float64[:, :, :, ::1], float64[:, :, ::1], int64[::1], int16[:, ::1], int16[::1]),
-    cache=True,
-    nogil=True,
     error_model="numpy",
 )
 def map_level(

@@ -8,9 +8,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import int16, int64, njit, types
+from numba import int16, int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import I1, named
 from hyperbit.controller.manipulator.manipulator import Manipulator
 
@@ -69,10 +70,8 @@ class HeadingToGo:
         return Headings(turns, self._values)
 
 
-@njit(
+@kernel(
     types.void(int64[:, ::1], int64[::1], int16[:, ::1], int64, int64, int16[:, ::1]),
-    cache=True,
-    nogil=True,
     error_model="numpy",
 )
 def write_headings(

@@ -13,9 +13,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numba import float64, int64, njit, types
+from numba import float64, int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, F4, named
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.workspace.densities import Densities
@@ -131,7 +132,7 @@ def logarithms(counts: Counts, exponent: int, pixel: float) -> NDArray[np.float3
     return np.asarray(values, dtype=np.float32)
 
 
-@njit("UniTuple(f8[::1],2)(f8[:,:,::1], f8[::1], f8, f8[:,:,::1], f8[:,::1])", cache=True, nogil=True)
+@kernel("UniTuple(f8[::1],2)(f8[:,:,::1], f8[::1], f8, f8[:,:,::1], f8[:,::1])")
 def extent(
     counts: Counts, reference: Vector, pixel: float, rotations: Counts, translations: Counts
 ) -> tuple[Vector, Vector]:
@@ -162,10 +163,8 @@ def extent(
     return low, high
 
 
-@njit(
+@kernel(
     types.void(LEVEL, F3, F2, LEVEL),
-    cache=True,
-    nogil=True,
     error_model="numpy",
 )
 def superpose(upper: Level, rotations: Counts, translations: Counts, lower: Level) -> None:

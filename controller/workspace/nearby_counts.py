@@ -8,9 +8,10 @@ import math
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numba import float64, int64, njit
+from numba import float64, int64
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, named
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.workspace.densities import Densities
@@ -111,7 +112,7 @@ def sorted_tips(tips: Array, radius: float, dimension: int) -> TipCells:
     return TipCells(tips[np.argsort(cells)], offsets.astype(np.int64), np.array(shape), reference, side)
 
 
-@njit(int64(CELLS, F2, float64, F1), cache=True, nogil=True, error_model="numpy")
+@kernel(int64(CELLS, F2, float64, F1), error_model="numpy")
 def count_near(cells: TipCells, points: Array, radius: float, counts: Array) -> int:
     """Writes the number of tips within a radius of each point (n, 3) to `counts` (n,); returns the number of tests."""
     tips, offsets, shape, reference, side = cells

@@ -15,9 +15,10 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit, void
+from numba import void
 from numpy.typing import ArrayLike, NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.frames import Frame, inverse
 from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, named
 from hyperbit.controller.manipulator.manipulator import Manipulator
@@ -152,7 +153,7 @@ def listed_from(manipulator: Manipulator, most: int) -> int:
     return depth
 
 
-@njit(void(F1, TABLES, LEVELS, F2, SAMPLES), cache=True, nogil=True, error_model="numpy")
+@kernel(void(F1, TABLES, LEVELS, F2, SAMPLES), error_model="numpy")
 def draw(goal: Array, arm: ReachTables, levels: Levels, randoms: Array, samples: OrientationSamples) -> None:
     """Draws a state for each of the first modules, and writes n samples; `goal` (3,) is in frame F_0.
 

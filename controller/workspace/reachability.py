@@ -3,9 +3,10 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import float32, float64, int64, njit, types
+from numba import float32, float64, int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, F4, I1, I2, UNCOUNTED, named
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.workspace.densities import Densities
@@ -45,7 +46,7 @@ def levels_of(densities: Densities) -> Levels:
     return Levels(densities.values, densities.offsets, densities.shapes, densities.references, densities.pixels)
 
 
-@njit(float64(LEVELS, int64, float64, float64, float64), **UNCOUNTED, error_model="numpy")
+@kernel(float64(LEVELS, int64, float64, float64, float64), **UNCOUNTED, error_model="numpy")
 def measure(levels: Levels, i: int, x: float, y: float, z: float) -> float:
     """Returns the measure of reachability of a point (x, y, z) in intermediate workspace i.
 
@@ -66,7 +67,7 @@ def measure(levels: Levels, i: int, x: float, y: float, z: float) -> float:
     return value
 
 
-@njit([POINT(F2, F1, float64, float64, float64)], **UNCOUNTED, inline="always")
+@kernel([POINT(F2, F1, float64, float64, float64)], **UNCOUNTED, inline="always")
 def seen_from(r: Array, b: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Returns a point (x, y, z) in a frame with rotation r (3, 3) and position b (3,)."""
     dx, dy, dz = x - b[0], y - b[1], z - b[2]

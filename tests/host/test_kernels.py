@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from hyperbit.controller.host import kernels
+from hyperbit.controller.manipulator import frame_kernels
 
 WITHOUT = (  # what the planner's core and clients use
     *(f"hyperbit.controller.manipulator.{name}" for name in ("frames", "locked", "notation")),
@@ -34,8 +35,26 @@ def test_kernels_of_the_library_are_compiled_beforehand():
     code = "import sys, hyperbit.controller.library; print(*(n for n in sys.modules if n.startswith('hyperbit.')))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     files = {name: kernels.path(name) for name in done.stdout.split()}
-    needed = {name for name, file in files.items() if file.is_file() and "@njit(" in file.read_text(encoding="utf-8")}
+    needed = {name for name, file in files.items() if file.is_file() and "@kernel(" in file.read_text(encoding="utf-8")}
     assert needed <= kernels.kernels().keys()
+
+
+def test_an_import_loads_no_kernel_and_a_search_few():
+    code = """
+import hyperbit
+from hyperbit.controller.host.kernel import kernels
+arm = hyperbit.Arm([hyperbit.vgt(width=0.2, lengths=(0.2, 0.25), count=2)])
+assert kernels and not any(kernel.signatures for kernel in kernels)
+hyperbit.Solver(arm).solve(hyperbit.Goal((0.0, 0.4)), start=arm.home)
+assert any(kernel.signatures for kernel in kernels) and any(not kernel.signatures for kernel in kernels)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_call_with_other_types_is_refused():
+    with pytest.raises(TypeError, match="No matching definition"):
+        frame_kernels.angle_between("no frame", "no frame")
 
 
 def test_a_module_is_imported_after_those_it_depends_on(tmp_path, monkeypatch):

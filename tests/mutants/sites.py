@@ -44,7 +44,7 @@ class Mutant:
 
     @property
     def kernel(self) -> bool:
-        return "@njit" in self.source
+        return "@kernel" in self.source
 
     @property
     def place(self) -> dict[str, Any]:

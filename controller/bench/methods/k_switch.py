@@ -11,9 +11,10 @@ configuration costs one motion of a point.
 from typing import NamedTuple
 
 import numpy as np
-from numba import float64, int64, njit, types
+from numba import float64, int64, types
 
 from hyperbit.controller.bench.methods.planar import PLANAR, Array, Index, Planar, moved, planar, tips_above
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, I1
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.workspace.densities import Densities
@@ -34,7 +35,7 @@ def solve(tables: KSwitch, goal: Array, previous: Configuration, tolerance: floa
     return configuration
 
 
-@njit(types.void(F1, PLANAR, int64, float64, I1), cache=True, nogil=True, error_model="numpy")
+@kernel(types.void(F1, PLANAR, int64, float64, I1), error_model="numpy")
 def search(goal: Array, arm: Planar, k: int, tolerance: float, configuration: Index) -> None:
     """Improves the configuration, by at most k switches at a time."""
     states, up, down, differing = arm

@@ -13,10 +13,11 @@ at a time.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
 
 from hyperbit.controller.bench.methods.planar import PLANAR, Array, Index, Planar, moved, planar
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, I1, I2
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.workspace.densities import Densities
@@ -56,7 +57,7 @@ def descent(tables: PaperTables, goal: Array, stage_costs: Index, thresholds: Ar
     return configuration
 
 
-@njit("f8(f4[::1], i8, i8[::1], f8[::1], f8, f8, f8)", cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel("f8(f4[::1], i8, i8[::1], f8[::1], f8, f8, f8)", error_model="numpy", inline="always")
 def density(
     values: NDArray[np.float32], offset: int, shape: Index, reference: Array, pixel: float, x: float, y: float
 ) -> float:
@@ -70,7 +71,7 @@ def density(
     return value
 
 
-@njit(types.void(F1, PLANAR, LEVELS, I2, F1, I1), cache=True, nogil=True, error_model="numpy")
+@kernel(types.void(F1, PLANAR, LEVELS, I2, F1, I1), error_model="numpy")
 def descend(
     goal: Array, arm: Planar, levels: Levels, stage_costs: Index, thresholds: Array, configuration: Index
 ) -> None:

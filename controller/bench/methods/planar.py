@@ -3,9 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import int64, njit
+from numba import int64
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F3, I1, named
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 
@@ -43,13 +44,13 @@ def planar(manipulator: Manipulator) -> Planar:
     )
 
 
-@njit("UniTuple(f8, 2)(f8[::1], f8, f8)", cache=True, nogil=True, inline="always")
+@kernel("UniTuple(f8, 2)(f8[::1], f8, f8)", inline="always")
 def moved(motion: Array, x: float, y: float) -> tuple[float, float]:
     """Returns the image of a point under a motion."""
     return motion[0] * x - motion[1] * y + motion[2], motion[1] * x + motion[0] * y + motion[3]
 
 
-@njit("void(f8[:,:,::1], i8[::1], f8[:,::1])", cache=True, nogil=True)
+@kernel("void(f8[:,:,::1], i8[::1], f8[:,::1])")
 def tips_above(up: Array, configuration: Index, out: Array) -> None:
     """Writes the tip's position in each frame F_0 to F_B, shape (B+1, 2)."""
     x, y = 0.0, 0.0

@@ -15,9 +15,9 @@ the tolerance, and we chose the order of improvement.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hyperbit.controller.bench.methods.planar import Array, Index, Planar, moved, planar, tips_above
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.workspace.densities import Densities
 
@@ -46,7 +46,7 @@ def solve(tables: TwoByTwo, goal: Array, previous: Configuration, tolerance: flo
     return configuration
 
 
-@njit("void(f8[::1], f8[:,:,::1], i8[::1], f8[:,::1], i8[::1])", cache=True, nogil=True, error_model="numpy")
+@kernel("void(f8[::1], f8[:,:,::1], i8[::1], f8[:,::1], i8[::1])", error_model="numpy")
 def place(goal: Array, down: Array, states: Index, means: Array, configuration: Index) -> None:
     """Writes a first configuration; of each pair the lower module is fixed, the upper one stays open."""
     x, y = goal[0], goal[1]
@@ -65,7 +65,7 @@ def place(goal: Array, down: Array, states: Index, means: Array, configuration: 
         x, y = moved(down[i, configuration[i]], x, y)
 
 
-@njit("void(f8[::1], f8[:,:,::1], f8[:,:,::1], i8[::1], f8, i8[::1])", cache=True, nogil=True, error_model="numpy")
+@kernel("void(f8[::1], f8[:,:,::1], f8[:,:,::1], i8[::1], f8, i8[::1])", error_model="numpy")
 def improve(goal: Array, up: Array, down: Array, states: Index, tolerance: float, configuration: Index) -> None:
     """Takes the best states of any two modules repeatedly, until within the tolerance or no pair improves the tip."""
     count = len(states)

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import float64, int8, int64, njit, types
+from numba import float64, int8, int64, types
 from numpy.typing import NDArray
 
 from hyperbit.controller.bench.methods import paper
 from hyperbit.controller.bench.methods.planar import Array, Index, Planar, moved, planar
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, S1, named
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.workspace.densities import Densities
@@ -141,9 +142,7 @@ def most_rows(differing: Index, states: Index, switches: int) -> int:
     return int(total.sum())
 
 
-@njit(
-    "i8(f8[:,:,::1], i8[:,::1], i8[::1], i8, f8[:,::1], i1[::1], i8[::1])", cache=True, nogil=True, error_model="numpy"
-)
+@kernel("i8(f8[:,:,::1], i8[:,::1], i8[::1], i8, f8[:,::1], i1[::1], i8[::1])", error_model="numpy")
 def grow(motions: Array, costs: Index, states: Index, most: int, points: Array, prices: Prices, codes: Index) -> int:
     """Expands row 0, a point, into rows for all configurations with at most `most` switches; returns their number."""
     prices[0], codes[0], count = 0, 0, 1
@@ -163,7 +162,7 @@ def grow(motions: Array, costs: Index, states: Index, most: int, points: Array, 
     return count
 
 
-@njit("void(i1[::1], i8, i8, i4[::1])", cache=True, nogil=True)
+@kernel("void(i1[::1], i8, i8, i4[::1])")
 def by_price(prices: Prices, count: int, most: int, order: Small) -> None:
     """Writes the order of the rows by price, cheapest first (counting sort)."""
     starts = np.zeros(most + 2, dtype=np.int64)
@@ -176,7 +175,7 @@ def by_price(prices: Prices, count: int, most: int, order: Small) -> None:
         starts[prices[n]] += 1
 
 
-@njit("void(f8[:,::1], i8, f8[::1], f8[::1])", cache=True, nogil=True)
+@kernel("void(f8[:,::1], i8, f8[::1], f8[::1])")
 def box(points: Array, count: int, low: Array, high: Array) -> None:
     low[:], high[:] = np.inf, -np.inf
     for n in range(count):
@@ -184,7 +183,7 @@ def box(points: Array, count: int, low: Array, high: Array) -> None:
             low[a], high[a] = min(low[a], points[n, a]), max(high[a], points[n, a])
 
 
-@njit(types.void(S1, int64, CELL_TABLE), cache=True, nogil=True, error_model="numpy")
+@kernel(types.void(S1, int64, CELL_TABLE), error_model="numpy")
 def sort(order: Small, count: int, table: CellTable) -> None:
     """Writes `starts` and `rows` of a table: `count` rows of the list, in `order`, the cheapest first in each cell."""
     points, _, starts, rows, low, cell, width, height = table
@@ -201,10 +200,8 @@ def sort(order: Small, count: int, table: CellTable) -> None:
         rows[starts[c]] = n
 
 
-@njit(
+@kernel(
     [FOUND(float64, float64, int64, CELL_TABLE, float64, int64)],
-    cache=True,
-    nogil=True,
     error_model="numpy",
     inline="always",
 )
@@ -230,7 +227,7 @@ def cheapest(x: float, y: float, price: int, table: CellTable, tolerance: float,
     return found, best
 
 
-@njit([FOUND_PAIR(F2, int8[::1], S1, int64, CELL_TABLE, float64, int64)], cache=True, nogil=True, error_model="numpy")
+@kernel([FOUND_PAIR(F2, int8[::1], S1, int64, CELL_TABLE, float64, int64)], error_model="numpy")
 def match(
     points: Array, prices: Prices, order: Small, count: int, table: CellTable, tolerance: float, best: int
 ) -> tuple[int, int, int]:

@@ -3,9 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import int64, njit, types
+from numba import int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, I1, I2, UNCOUNTED, named
 from hyperbit.controller.obstacles.scene import Scene, for_scenes
 from hyperbit.controller.search.neighbours.chain import CHAIN, PLACES, Chain, Places, fits, serves, state_of, write_tip
@@ -48,7 +49,7 @@ class Layer(NamedTuple):
 LABELS = named(Labels, I1, F1, I1, I1, F1, I1)
 
 
-@njit(
+@kernel(
     for_scenes(lambda scene: types.void(CHAIN, PLACES, LABELS, scene, int64, I2, CHANGED, F1, I1)),
     **UNCOUNTED,
     error_model="numpy",
@@ -95,7 +96,7 @@ def judged(neighbours: Neighbours, labels: Labels, k: int, keys: Integers) -> tu
     return rest, exits
 
 
-@njit(int64(CHAIN, I2, F1, I1, F1, I1, I1, F1), **UNCOUNTED)
+@kernel(int64(CHAIN, I2, F1, I1, F1, I1, I1, F1), **UNCOUNTED)
 def scan(
     chain: Chain,
     keys: Integers,

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from itertools import islice, product, takewhile
 
 import numpy as np
-from numba import njit
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.motion.stages.transition import Array, Index, Transition, build_transition
 
@@ -211,7 +211,7 @@ def fill_spans(deviations: Array) -> Array:
     return spans.ravel()
 
 
-@njit("i8[::1](f8[::1], f8[::1], i8, f8)", cache=True, nogil=True)
+@kernel("i8[::1](f8[::1], f8[::1], i8, f8)")
 def partition(deviations: Array, spans: Array, most: int, level: float) -> Index:
     """Returns the fewest stages, as masks of actuators, with deviations of at most `level`; empty if there are none."""
     size = len(deviations)

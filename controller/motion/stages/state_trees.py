@@ -6,9 +6,10 @@ A configuration is stored with its actuator states as bits. An open hash table f
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import boolean, int32, int64, njit, types, uint64
+from numba import boolean, int32, int64, types, uint64
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import I1, S1, UNCOUNTED, named
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.obstacles.distance import Index
@@ -91,7 +92,7 @@ def root_of(tree: StateTree, number: int) -> int:
     return number
 
 
-@njit(int64(STATE_TREE, U1), **UNCOUNTED)
+@kernel(int64(STATE_TREE, U1), **UNCOUNTED)
 def find(tree: StateTree, bits: Bits) -> int:
     """Returns the number of a configuration by its bits (W,), or ~slot of the empty slot where it belongs."""
     hashed = np.uint64(0xCBF29CE484222325)
@@ -111,7 +112,7 @@ def find(tree: StateTree, bits: Bits) -> int:
     return ~slot
 
 
-@njit(int64(STATE_TREE, I1, U1, int64, int64, int64), **UNCOUNTED)
+@kernel(int64(STATE_TREE, I1, U1, int64, int64, int64), **UNCOUNTED)
 def add(tree: StateTree, configuration: Index, bits: Bits, missing: int, parent: int, actuator: int) -> int:
     """Adds a configuration (B,) that `find` has not found; returns its number.
 
@@ -134,7 +135,7 @@ def add(tree: StateTree, configuration: Index, bits: Bits, missing: int, parent:
     return int(number)
 
 
-@njit(int64(uint64), **UNCOUNTED, inline="always")
+@kernel(int64(uint64), **UNCOUNTED, inline="always")
 def ones(word: int) -> int:
     """Returns the number of bits that are 1."""
     pairs = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
@@ -143,7 +144,7 @@ def ones(word: int) -> int:
     return int(np.int64((bytewise * np.uint64(0x0101010101010101)) >> np.uint64(56)))
 
 
-@njit(int64(STATE_TREE, U1), **UNCOUNTED)
+@kernel(int64(STATE_TREE, U1), **UNCOUNTED)
 def nearest(tree: StateTree, bits: Bits) -> int:
     """Returns the configuration that differs in the fewest actuators from bits (W,)."""
     fewest, found = 1 << 30, 0
@@ -156,13 +157,13 @@ def nearest(tree: StateTree, bits: Bits) -> int:
     return found
 
 
-@njit(boolean(U1, int64), **UNCOUNTED, inline="always")
+@kernel(boolean(U1, int64), **UNCOUNTED, inline="always")
 def bit(bits: Bits, actuator: int) -> bool:
     """Returns the state of an actuator in bits (W,)."""
     return bool((bits[actuator // WORD] >> np.uint64(actuator % WORD)) & np.uint64(1))
 
 
-@njit(types.void(U1, int64), **UNCOUNTED, inline="always")
+@kernel(types.void(U1, int64), **UNCOUNTED, inline="always")
 def flip(bits: Bits, actuator: int) -> None:
     """Switches an actuator in bits (W,)."""
     bits[actuator // WORD] ^= np.uint64(1) << np.uint64(actuator % WORD)

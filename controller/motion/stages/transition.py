@@ -4,9 +4,10 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numba import boolean, float64, njit, types, uint8
+from numba import boolean, float64, types, uint8
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.frame_kernels import compose, set_identity
 from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, F4, I1, named
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
@@ -79,7 +80,7 @@ class Transition:
         return replace(self, modules=modules, line=self.line[::-1].copy())
 
 
-@njit("f8(f8[::1], f8[:,::1])", cache=True, nogil=True, inline="always")
+@kernel("f8(f8[::1], f8[:,::1])", inline="always")
 def deviation(point: Array, line: Array) -> float:
     """Returns the distance of a point (3,) from the line segment between two points (2, 3)."""
     dot, square, away = 0.0, 0.0, 0.0
@@ -93,7 +94,7 @@ def deviation(point: Array, line: Array) -> float:
     return float(np.sqrt(away))
 
 
-@njit("void(f8[:,::1], f8[::1], f8[::1], f8[::1])", cache=True, nogil=True, inline="always")
+@kernel("void(f8[:,::1], f8[::1], f8[::1], f8[::1])", inline="always")
 def carry(r: Array, b: Array, point: Array, out: Array) -> None:
     """Writes b + R p; `out` may be the point itself."""
     x, y, z = point[0], point[1], point[2]
@@ -101,7 +102,7 @@ def carry(r: Array, b: Array, point: Array, out: Array) -> None:
         out[i] = b[i] + r[i, 0] * x + r[i, 1] * y + r[i, 2] * z
 
 
-@njit([F1(MOVING, I1, I1, F2, I1, I1, float64)], cache=True, nogil=True)
+@kernel([F1(MOVING, I1, I1, F2, I1, I1, float64)])
 def subsets(
     modules: MovingModules, owners: Index, flags: Index, line: Array, masks: Index, stage: Index, unknown: float
 ) -> Array:
@@ -141,7 +142,7 @@ def subsets(
     return result
 
 
-@njit("void(f8[:,:,:,::1], f8[:,:,::1], i8[::1], f8[:,::1])", cache=True, nogil=True)
+@kernel("void(f8[:,:,:,::1], f8[:,:,::1], i8[::1], f8[:,::1])")
 def fill_tails(r: Array, b: Array, masks: Index, tails: Array) -> None:
     """Writes the tip in the frame of each module, shape (m + 1, 3)."""
     tails[len(masks)] = 0.0
@@ -149,7 +150,7 @@ def fill_tails(r: Array, b: Array, masks: Index, tails: Array) -> None:
         carry(r[i, masks[i]], b[i, masks[i]], tails[i + 1], tails[i])
 
 
-@njit([float64(MOVING, F2, I1)], cache=True, nogil=True)
+@kernel([float64(MOVING, F2, I1)])
 def ascend(modules: MovingModules, line: Array, masks: Index) -> float:
     """Changes one mask at a time as long as the deviation grows; returns the deviation of that local maximum.
 
@@ -179,7 +180,7 @@ def ascend(modules: MovingModules, line: Array, masks: Index) -> float:
     return float(best)
 
 
-@njit([F2(MOVING, I1, I1, F2, types.int64[:, ::1])], cache=True, nogil=True)
+@kernel([F2(MOVING, I1, I1, F2, types.int64[:, ::1])])
 def singles(modules: MovingModules, owners: Index, flags: Index, line: Array, masks: Index) -> Array:
     """Returns the deviation after one more actuator, from each of the masks; see Transition.singles."""
     r, b, known = modules
@@ -220,7 +221,7 @@ def build_transition(manipulator: Manipulator, start: Configuration, end: Config
     return Transition(offsets[modules] + columns, owners, flags, frames, ended, line)
 
 
-@njit([types.void(F2, F4, F3, uint8[:, :, ::1], I1, I1, boolean[:, ::1], MOVING)], cache=True, nogil=True)
+@kernel([types.void(F2, F4, F3, uint8[:, :, ::1], I1, I1, boolean[:, ::1], MOVING)])
 def fill_frames(
     base: Array,
     rotations: Array,

@@ -3,8 +3,9 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import boolean, int64, njit, types
+from numba import boolean, int64, types
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import I1, UNCOUNTED, named
 from hyperbit.controller.motion.stages.state_trees import (
     STATE_TREE,
@@ -78,7 +79,7 @@ def walk_of(clearance: BodyClearance, modules: int, once: bool = False) -> Walk:
     )
 
 
-@njit(int64(U1, int64), **UNCOUNTED)
+@kernel(int64(U1, int64), **UNCOUNTED)
 def draw(random: Bits, count: int) -> int:
     """Returns a random number from 0 to count - 1, by xorshift64* (Vigna 2016)."""
     x = random[0]
@@ -89,7 +90,7 @@ def draw(random: Bits, count: int) -> int:
     return int(np.int64((x * np.uint64(0x2545F4914F6CDD1D)) >> np.uint64(33)) % count)
 
 
-@njit(types.void(WALK, STATE_TREE, int64), **UNCOUNTED)
+@kernel(types.void(WALK, STATE_TREE, int64), **UNCOUNTED)
 def stand(walk: Walk, tree: StateTree, number: int) -> None:
     """Writes a configuration of a tree to the scratch."""
     for i in range(len(walk.configuration)):
@@ -99,7 +100,7 @@ def stand(walk: Walk, tree: StateTree, number: int) -> None:
     place_arm(walk.switches, walk.arm, walk.configuration, walk.scratch)
 
 
-@njit(int64(WALK, STATE_TREE, int64, int64, boolean), **UNCOUNTED)
+@kernel(int64(WALK, STATE_TREE, int64, int64, boolean), **UNCOUNTED)
 def step(walk: Walk, tree: StateTree, number: int, actuator: int, proven: bool) -> int:
     """Adds the neighbour of a configuration, which the scratch has, if it is new and the switch is clear.
 
@@ -133,7 +134,7 @@ def step(walk: Walk, tree: StateTree, number: int, actuator: int, proven: bool) 
     return added
 
 
-@njit([PAIR(WALK, STATE_TREE, int64)], **UNCOUNTED)
+@kernel([PAIR(WALK, STATE_TREE, int64)], **UNCOUNTED)
 def extend(walk: Walk, tree: StateTree, number: int) -> tuple[int, int]:
     """Walks from a configuration of a tree towards the target, until no switch brings it nearer.
 
@@ -158,7 +159,7 @@ def extend(walk: Walk, tree: StateTree, number: int) -> tuple[int, int]:
     return number, checks
 
 
-@njit([types.void(WALK)], **UNCOUNTED)
+@kernel([types.void(WALK)], **UNCOUNTED)
 def aim(walk: Walk) -> None:
     """Draws a target: runs of modules whose actuators are in the same states, of a random mean length.
 
@@ -177,7 +178,7 @@ def aim(walk: Walk) -> None:
             flip(walk.target, actuator)
 
 
-@njit([TRIPLE(WALK, STATE_TREE, STATE_TREE, int64, int64)], **UNCOUNTED)
+@kernel([TRIPLE(WALK, STATE_TREE, STATE_TREE, int64, int64)], **UNCOUNTED)
 def grow(walk: Walk, first: StateTree, second: StateTree, rounds: int, checks: int) -> tuple[int, int, int]:
     """Grows two trees until they meet, or for about a number of checks.
 
@@ -214,7 +215,7 @@ def grow(walk: Walk, first: StateTree, second: StateTree, rounds: int, checks: i
     return -1, -1, rounds
 
 
-@njit([PAIR(WALK, STATE_TREE, STATE_TREE, int64)], **UNCOUNTED)
+@kernel([PAIR(WALK, STATE_TREE, STATE_TREE, int64)], **UNCOUNTED)
 def flood(walk: Walk, tree: StateTree, other: StateTree, checks: int) -> tuple[int, int]:
     """Adds all neighbours of configurations, breadth first, for about a number of checks, or until the trees meet.
 
@@ -240,7 +241,7 @@ def flood(walk: Walk, tree: StateTree, other: StateTree, checks: int) -> tuple[i
     return -1, -1
 
 
-@njit([int64(WALK, STATE_TREE)], **UNCOUNTED)
+@kernel([int64(WALK, STATE_TREE)], **UNCOUNTED)
 def next_undecided(walk: Walk, tree: StateTree) -> int:
     """Returns the next undecided switch to a new configuration, -1 for none, and no longer marks it.
 

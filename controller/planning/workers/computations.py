@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.manipulator.locked import lock_actuators, transferred
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
-from hyperbit.controller.motion.decoding.goal import GoalRules, schedule
+from hyperbit.controller.motion.decoding.goal import GoalMessage, GoalRules, Waypoint, schedule
 from hyperbit.controller.motion.plans.description import describe_plan
 from hyperbit.controller.motion.plans.improvement import Improvement, changed_points
 from hyperbit.controller.motion.plans.plan import TrajectoryPlan
@@ -58,6 +58,7 @@ class ArmModel:
         self.rules = GoalRules(whole.dimension, arm.tolerance, arm.angle_tolerance, self.pace, whole)
         self._generations = (-1, -1)  # of tables and obstacles of the latest solver
         self._solver: Solver | None = None
+        self._rehearsed = False
 
     def solver(self, tables: tasks.Tables, scene: tasks.VersionedScene) -> Solver:
         generations = tables.generation, scene.generation
@@ -70,6 +71,14 @@ class ArmModel:
                 solver = solver.avoiding(clearance)
             self._solver, self._generations = solver, generations
         return self._solver
+
+    def first_rehearsal(self) -> GoalMessage | None:
+        """Returns a goal far from most configurations, once, so that the first goal waits for no machine code."""
+        if self._rehearsed:
+            return None
+        self._rehearsed, arm = True, self.arm.reduced
+        tip = arm.tip(arm.states - 1)[: arm.dimension, 3]
+        return GoalMessage([Waypoint(position=tip.tolist())])
 
     def unpack(self, packed: bytes) -> States:
         return unpack_states(packed, len(self.arm.manipulator.actuators))
@@ -249,8 +258,8 @@ def prepare_search(model: ArmModel, task: tasks.PrepareSearch, proceed: Proceed)
         previous = model.configuration(task.basis.start, solver.manipulator)
         for _ in solver.expect(previous, model.arm.tolerance):
             proceed()
-        if task.rehearsal is not None:
-            short = msgspec.structs.replace(task.rehearsal, deadline=PLANNING_TIME)
+        if (rehearsal := task.rehearsal or model.first_rehearsal()) is not None:
+            short = msgspec.structs.replace(rehearsal, deadline=PLANNING_TIME)
             plan_goal(model, tasks.PlanGoal(short, 0.0, None, task.basis), proceed)
     return tasks.Done()
 

@@ -4,9 +4,10 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import boolean, float64, int64, njit, types
+from numba import boolean, float64, int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, I1, UNCOUNTED, named
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.obstacles.scene import SCENE, Scene, for_scenes, segment_collides, set_state
@@ -109,7 +110,7 @@ def lowest(states: Index, top: int, most: int) -> int:
     return i
 
 
-@njit([PAIR(int64, float64, WANTED, DISTAL_SEARCH)], **UNCOUNTED, error_model="numpy")
+@kernel([PAIR(int64, float64, WANTED, DISTAL_SEARCH)], **UNCOUNTED, error_model="numpy")
 def rate(row: int, square: float, wanted: Wanted, search: DistalSearch) -> tuple[float, float]:
     """Returns cost and squared error of a row whose squared distance is known; outside the tolerances infinite cost."""
     rotations, rotation, states = search.table.rotations, wanted.rotation, search.arm.states
@@ -130,7 +131,7 @@ def rate(row: int, square: float, wanted: Wanted, search: DistalSearch) -> tuple
     return cost, square
 
 
-@njit(boolean(int64, DISTAL_SEARCH, SCENE), **UNCOUNTED)
+@kernel(boolean(int64, DISTAL_SEARCH, SCENE), **UNCOUNTED)
 def row_collides(row: int, search: DistalSearch, scene: Scene) -> bool:
     """Returns whether the modules of a row collide; also true if no check is left."""
     states, depth = search.arm.states, search.table.depth
@@ -145,7 +146,7 @@ def row_collides(row: int, search: DistalSearch, scene: Scene) -> bool:
     return bool(segment_collides(scene, depth, len(states)))
 
 
-@njit(
+@kernel(
     for_scenes(lambda scene: TRIPLE(POINT, WANTED, float64, float64, DISTAL_SEARCH, scene)),
     **UNCOUNTED,
     error_model="numpy",
@@ -199,7 +200,7 @@ def nearest(
     return best, best_cost, best_square
 
 
-@njit("f8[:,::1](f8[:,:], f8[:,::1])", cache=True, nogil=True)
+@kernel("f8[:,::1](f8[:,:], f8[:,::1])")
 def carried_back(rotation: Array, other: Array) -> Array:
     """Returns the product R^T R' (3, 3) of rotations R and R' (3, 3)."""
     result = np.zeros((3, 3))
@@ -210,7 +211,7 @@ def carried_back(rotation: Array, other: Array) -> Array:
     return result
 
 
-@njit(boolean(int64, DISTAL_SEARCH, SCENE), **UNCOUNTED)
+@kernel(boolean(int64, DISTAL_SEARCH, SCENE), **UNCOUNTED)
 def branch_collides(branch: int, search: DistalSearch, scene: Scene) -> bool:
     """Returns whether the modules of a branch, root+1 to depth, collide."""
     root, depth, states, rest = search.table.root, search.table.depth, search.arm.states, branch
@@ -221,7 +222,7 @@ def branch_collides(branch: int, search: DistalSearch, scene: Scene) -> bool:
     return bool(segment_collides(scene, root, depth))
 
 
-@njit([SEEN(int64, F1, DISTAL_SEARCH)], **UNCOUNTED, error_model="numpy")
+@kernel([SEEN(int64, F1, DISTAL_SEARCH)], **UNCOUNTED, error_model="numpy")
 def seen_from_branch(branch: int, position: Array, search: DistalSearch) -> tuple[Point, float]:
     """Returns a position (3,) of frame F_root as seen from the frame above a branch, and the branch's cost.
 
@@ -237,7 +238,7 @@ def seen_from_branch(branch: int, position: Array, search: DistalSearch) -> tupl
     return (x, y, z), cost
 
 
-@njit(F2(int64, F2, DISTAL_SEARCH), cache=True, nogil=True, error_model="numpy")
+@kernel(F2(int64, F2, DISTAL_SEARCH), error_model="numpy")
 def turned_back(branch: int, rotation: Array, search: DistalSearch) -> Array:
     """Returns a rotation (3, 3) of frame F_root as seen from the frame above a branch."""
     rotations, _, states = search.arm
@@ -247,7 +248,7 @@ def turned_back(branch: int, rotation: Array, search: DistalSearch) -> Array:
     return rotation
 
 
-@njit(types.void(int64, int64, DISTAL_SEARCH, I1), **UNCOUNTED)
+@kernel(types.void(int64, int64, DISTAL_SEARCH, I1), **UNCOUNTED)
 def write_states(branch: int, row: int, search: DistalSearch, configuration: Configuration) -> None:
     """Writes the states of a branch and of a row of the table to `configuration` (B,)."""
     states, depth = search.arm.states, search.table.depth
@@ -259,10 +260,8 @@ def write_states(branch: int, row: int, search: DistalSearch, configuration: Con
         row //= states[i]
 
 
-@njit(
+@kernel(
     for_scenes(lambda scene: FINISHED(F1, WANTED, float64, DISTAL_SEARCH, I1, scene)),
-    cache=True,
-    nogil=True,
     error_model="numpy",
 )
 def finish(

@@ -6,9 +6,10 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import float64, int64, njit, types
+from numba import float64, int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, I2, UNCOUNTED, named
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.obstacles.scene import Scene, for_scenes, module_collides, set_state
@@ -75,7 +76,7 @@ CHILDREN = named(Children, I1, I1, F1, F2, F1)
 CHOICE: Any = types.Tuple((int64, POINT))  # type: ignore[no-untyped-call]
 
 
-@njit(
+@kernel(
     for_scenes(lambda scene: CHOICE(DESCENT_TABLES, int64, POINT, float64, scene)),
     **UNCOUNTED,
     error_model="numpy",
@@ -108,7 +109,7 @@ def best_state(tables: DescentTables, i: int, goal: Point, threshold: float, sce
     return best, best_goal
 
 
-@njit(
+@kernel(
     for_scenes(lambda scene: POINT(POINT, DESCENT_TABLES, F1, I1, scene)),
     **UNCOUNTED,
     error_model="numpy",
@@ -130,7 +131,7 @@ def descend(goal: Point, tables: DescentTables, thresholds: Array, configuration
     return goal
 
 
-@njit(
+@kernel(
     for_scenes(lambda scene: int64(DESCENT_TABLES, int64, float64, BEAM, int64, CHILDREN, scene)),
     **UNCOUNTED,
     error_model="numpy",
@@ -160,7 +161,7 @@ def expand(
     return born
 
 
-@njit(types.void(CHILDREN, I1, int64, BEAM, I2), cache=True, nogil=True)
+@kernel(types.void(CHILDREN, I1, int64, BEAM, I2))
 def replace_nodes(children: Children, chosen: Index, i: int, beam: Beam, before: Index) -> None:
     """Replaces the nodes of a beam by chosen children (n,), which decide module i; `before` (W, B) is scratch."""
     configurations, wanted, costs = beam
@@ -176,10 +177,8 @@ def replace_nodes(children: Children, chosen: Index, i: int, beam: Beam, before:
             wanted[n, a] = children.wanted[child, a]
 
 
-@njit(
+@kernel(
     for_scenes(lambda scene: int64(F1, DESCENT_TABLES, float64, BEAM, scene)),
-    cache=True,
-    nogil=True,
     error_model="numpy",
 )
 def beam_search(goal: Array, tables: DescentTables, worth: float, beam: Beam, scene: Scene | None) -> int:

@@ -8,9 +8,10 @@ as the greatest distance. In the plane the coordinate is the sine of the angle; 
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import float64, int64, njit, types, uint8
+from numba import float64, int64, types, uint8
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, S1, named
 from hyperbit.controller.search.clock import INDEXED
 from hyperbit.controller.search.lists.segment import SIDE, Side
@@ -139,7 +140,7 @@ def cost_levels(costs: Array) -> tuple[float, Array]:
     return least, bounds
 
 
-@njit("void(f8[:,::1], i8, f8, f8[:,::1], i8)", cache=True, nogil=True, inline="always")
+@kernel("void(f8[:,::1], i8, f8, f8[:,::1], i8)", inline="always")
 def write_point(frames: Array, n: int, scale: float, points: Array, k: int) -> None:
     """Writes position and scaled rotation axis of frames[n] to points[k]: 3 coordinates in the plane, 6 in space."""
     if frames.shape[1] == 4:
@@ -151,14 +152,14 @@ def write_point(frames: Array, n: int, scale: float, points: Array, k: int) -> N
         points[k, 5] = 0.5 * scale * (frames[n, 6] - frames[n, 4])
 
 
-@njit("void(f8[:,::1], f8, f8[:,::1])", cache=True, nogil=True)
+@kernel("void(f8[:,::1], f8, f8[:,::1])")
 def write_points(frames: Array, scale: float, points: Array) -> None:
     """Writes the points (n, 3 or 6) of frames (n, 4 or 12), see write_point."""
     for n in range(len(frames)):
         write_point(frames, n, scale, points, n)
 
 
-@njit([GRID(F2, int64, float64, float64)], cache=True, nogil=True, error_model="numpy")
+@kernel([GRID(F2, int64, float64, float64)], error_model="numpy")
 def grid_of(rows: Array, size: int, radius: float, most: float) -> Grid:
     """Returns cells for points, at least two radii wide.
 
@@ -196,7 +197,7 @@ def grid_of(rows: Array, size: int, radius: float, most: float) -> Grid:
     )
 
 
-@njit(types.void(GRID, F2, F1, S1, SORTED_POINTS), cache=True, nogil=True, error_model="numpy")
+@kernel(types.void(GRID, F2, F1, S1, SORTED_POINTS), error_model="numpy")
 def sort_into_cells(grid: Grid, rows: Array, costs: Array, cells: Index32, table: SortedPoints) -> None:
     """Sorts points into cells.
 
@@ -229,7 +230,7 @@ def sort_into_cells(grid: Grid, rows: Array, costs: Array, cells: Index32, table
             points[at, a] = rows[n, a]
 
 
-@njit(I1(GRID, int64, int64), cache=True, nogil=True)
+@kernel(I1(GRID, int64, int64))
 def corner_offsets(grid: Grid, first: int, size: int) -> NDArray[np.int64]:
     """Returns by how much the number of a cell grows to the next cells along coordinates first+1 to `size`.
 
@@ -242,7 +243,7 @@ def corner_offsets(grid: Grid, first: int, size: int) -> NDArray[np.int64]:
     return offsets
 
 
-@njit(types.void(GRID, int64, S1, F1, F1, uint8[::1]), cache=True, nogil=True, error_model="numpy")
+@kernel(types.void(GRID, int64, S1, F1, F1, uint8[::1]), error_model="numpy")
 def mark_levels(grid: Grid, size: int, cells: Index32, costs: Array, bounds: Array, near: NDArray[np.uint8]) -> None:
     """Writes `near` of an index, from cells and costs (n,) of points of `size` coordinates, and the levels' bounds."""
     for c in range(grid.cells):

@@ -6,14 +6,13 @@ all cells that are near. Outer and inner are configurations of two segments, or 
 cell walk for positions and poses, compiled for each case.
 """
 
-from collections.abc import Callable
-from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
-from numba import float64, int32, int64, njit, types
+from numba import float64, int32, int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import Kernel, kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, I2, UNCOUNTED, named
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
@@ -74,7 +73,7 @@ RANGE: Any = types.UniTuple(int64, 2)  # type: ignore[no-untyped-call]
 POINT: Any = types.UniTuple(float64, 3)  # type: ignore[no-untyped-call]
 
 
-@njit(types.void(I1, I1, SIDE, int64), **UNCOUNTED)
+@kernel(types.void(I1, I1, SIDE, int64), **UNCOUNTED)
 def put(states: Configuration, seed: Configuration, side: Side, n: int) -> None:
     """Writes the states of a side's row `n` to `states` (B,), for all modules of the side; see Segment."""
     for i in range(side.first, side.last):
@@ -85,7 +84,7 @@ def put(states: Configuration, seed: Configuration, side: Side, n: int) -> None:
         row = side.parents[row]
 
 
-@njit(float64(F2, int64, F2, int64), cache=True, nogil=True, inline="always")
+@kernel(float64(F2, int64, F2, int64), inline="always")
 def chord(a: Array, i: int, b: Array, j: int) -> float:
     """Returns the squared chord between the rotations of frames a[i] and b[j]."""
     total = 0.0
@@ -97,7 +96,7 @@ def chord(a: Array, i: int, b: Array, j: int) -> float:
     return total
 
 
-@njit([POINT(F2, int64, F2, int64, float64)], cache=True, nogil=True, inline="always")
+@kernel([POINT(F2, int64, F2, int64, float64)], inline="always")
 def planar_point(a: Array, i: int, b: Array, j: int, scale: float) -> tuple[float, float, float]:
     """Returns the point of the product of planar frames a[i] and b[j], see write_point."""
     c, s = a[i, 2], a[i, 3]
@@ -105,7 +104,7 @@ def planar_point(a: Array, i: int, b: Array, j: int, scale: float) -> tuple[floa
     return x, y, scale * (s * b[j, 2] + c * b[j, 3])
 
 
-@njit([POINT(F2, int64, F2, int64)], cache=True, nogil=True, inline="always")
+@kernel([POINT(F2, int64, F2, int64)], inline="always")
 def spatial_position(a: Array, i: int, b: Array, j: int) -> tuple[float, float, float]:
     """Returns the position of the product of spatial frames a[i] and b[j]."""
     return (
@@ -115,7 +114,7 @@ def spatial_position(a: Array, i: int, b: Array, j: int) -> tuple[float, float, 
     )
 
 
-@njit(int64(GRID, float64, float64, float64, F2, int64), cache=True, nogil=True, inline="always")
+@kernel(int64(GRID, float64, float64, float64, F2, int64), inline="always")
 def cell_at(grid: Grid, x: float, y: float, z: float, point: Array, size: int) -> int:
     """Returns the first cell to compare with a point, -1 outside the grid; point[0] has coordinates 4 to `size`."""
     origin, shape, strides, per = grid.origin, grid.shape, grid.strides, grid.per
@@ -136,7 +135,7 @@ def cell_at(grid: Grid, x: float, y: float, z: float, point: Array, size: int) -
     return int(cell)
 
 
-@njit([RANGE(F1, float64, SPAN, float64, float64, int64, int64)], cache=True, nogil=True, inline="always")
+@kernel([RANGE(F1, float64, SPAN, float64, float64, int64, int64)], inline="always")
 def affordable(
     costs: Array, own: float, span: Span, least: float, ceiling: float, low: int, high: int
 ) -> tuple[int, int]:
@@ -158,14 +157,14 @@ def affordable(
     return low, high
 
 
-@njit([float64(MATCHES)], cache=True, nogil=True, inline="always")
+@kernel([float64(MATCHES)], inline="always")
 def most_cost(matches: Matches) -> float:
     """Returns the greatest cost of a pair that may replace a match. Ties count if there is one place only."""
     worst = matches.costs.max()
     return float(worst * (1 + EPSILON) if len(matches.costs) == 1 else np.nextafter(worst, -np.inf))
 
 
-@njit(
+@kernel(
     for_scenes(lambda scene: types.boolean(PAIR, SIDES, QUERY, I1, scene, I1, MATCHES)),
     **UNCOUNTED,
 )
@@ -202,8 +201,7 @@ def keep(
 MATCH = for_scenes(lambda scene: int64(SIDES, SPAN, QUERY, I1, scene, MATCHES))
 
 
-@cache
-def kernel(planar: bool, posed: bool) -> Callable[..., int]:
+def matcher(planar: bool, posed: bool) -> Kernel:
     """Returns the matching kernel for planar or spatial arms, positions or poses.
 
     The kernel keeps the pairs of a span that are within the tolerances, clear, and cheaper than the dearest match. It
@@ -211,7 +209,7 @@ def kernel(planar: bool, posed: bool) -> Callable[..., int]:
     """
     size = (3 if planar else 6) if posed else (2 if planar else 3)
 
-    @njit(MATCH, cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+    @kernel(MATCH, error_model="numpy", fastmath={"contract"})
     def match(
         sides: Sides, span: Span, query: SearchQuery, seed: Configuration, scene: Scene | None, matches: Matches
     ) -> int:
@@ -265,18 +263,18 @@ def kernel(planar: bool, posed: bool) -> Callable[..., int]:
                             ceiling = most_cost(matches)
         return work
 
-    return match
+    return cast(Kernel, match)
 
 
-KERNEL_VARIANTS = [(planar, posed) for planar in (True, False) for posed in (False, True)]
+MATCHERS = {(planar, posed): matcher(planar, posed) for planar in (True, False) for posed in (False, True)}
 
 
 def load(planar: bool) -> None:
     """Loads the kernels for planar or for spatial arms; each takes memory. A match without it loads its own."""
     for posed in (False, True):
-        kernel(planar, posed)
+        MATCHERS[planar, posed].load()
 
 
 def match(sides: Sides, *rest: Any) -> int:
     """Calls the kernel for these sides, for positions or poses by the index; returns its work in comparisons."""
-    return kernel(sides.outer.frames.shape[1] == 4, bool(sides.lookup.rotation_scale > 0.0))(sides, *rest)
+    return int(MATCHERS[sides.outer.frames.shape[1] == 4, bool(sides.lookup.rotation_scale > 0.0)](sides, *rest))

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import float64, int32, int64, njit, types
+from numba import float64, int32, int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, S1, named
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 
@@ -55,7 +56,7 @@ def coordinates(frames: Array) -> int:
 
 
 # The next two kernels take array and row number: numba would count references of slices.
-@njit("void(f8[:,::1], i8, f8[:,::1], i8, f8[:,::1], i8)", cache=True, nogil=True, inline="always")
+@kernel("void(f8[:,::1], i8, f8[:,::1], i8, f8[:,::1], i8)", inline="always")
 def compose(a: Array, i: int, b: Array, j: int, out: Array, k: int) -> None:
     """Writes the product of frames a[i] and b[j] to out[k], which must be another row."""
     if out.shape[1] == 4:
@@ -72,7 +73,7 @@ def compose(a: Array, i: int, b: Array, j: int, out: Array, k: int) -> None:
                 out[k, 3 + 3 * m + n] = p * b[j, 3 + n] + q * b[j, 6 + n] + r * b[j, 9 + n]
 
 
-@njit("void(f8[:,::1], i8, f8[:,::1], i8)", cache=True, nogil=True, inline="always")
+@kernel("void(f8[:,::1], i8, f8[:,::1], i8)", inline="always")
 def invert(a: Array, i: int, out: Array, k: int) -> None:
     """Writes the inverse of frame a[i] to out[k], which must be another row."""
     if out.shape[1] == 4:
@@ -85,14 +86,14 @@ def invert(a: Array, i: int, out: Array, k: int) -> None:
                 out[k, 3 + 3 * m + n] = a[i, 3 + 3 * n + m]
 
 
-@njit("void(f8[:,::1], f8[:,::1], f8[:,::1])", cache=True, nogil=True, fastmath={"contract"})
+@kernel("void(f8[:,::1], f8[:,::1], f8[:,::1])", fastmath={"contract"})
 def compose_all(frames: Array, frame: Array, out: Array) -> None:
     """Writes the products of frames (n, 4 or 12) and frame[0] to `out`."""
     for n in range(len(frames)):
         compose(frames, n, frame, 0, out, n)
 
 
-@njit("void(f8[:,::1])", cache=True, nogil=True)
+@kernel("void(f8[:,::1])")
 def invert_all(frames: Array) -> None:
     """Replaces frames (n, 4 or 12) by their inverses."""
     other = np.empty((1, frames.shape[1]))
@@ -198,7 +199,7 @@ def build_segment(sets: Sets, rows: Rows, first: int, last: int, most: int | Non
     return Segment(first, last, parents, modules, choices, rows.costs[:count], rows.frames[:count], unexplored)
 
 
-@njit("f8(f8[:,::1], i8[::1], i8, i8)", cache=True, nogil=True)
+@kernel("f8(f8[:,::1], i8[::1], i8, i8)")
 def step(distances: Array, states: Index, first: int, last: int) -> float:
     """Returns the least positive distance of a state of modules first+1 to last."""
     least = np.inf
@@ -209,7 +210,7 @@ def step(distances: Array, states: Index, first: int, last: int) -> float:
     return float(least)
 
 
-@njit("f8(f8[:,::1], i8[::1], i8, i8, f8, i8)", cache=True, nogil=True)
+@kernel("f8(f8[:,::1], i8[::1], i8, i8, f8, i8)")
 def largest_budget(distances: Array, states: Index, first: int, last: int, unit: float, most: int) -> float:
     """Returns the greatest distance, a multiple of `unit`, within which lie about `most` configurations or fewer."""
     counts = np.zeros(BINS)
@@ -229,7 +230,7 @@ def largest_budget(distances: Array, states: Index, first: int, last: int, unit:
     return BINS * unit
 
 
-@njit([RANKED(SETS, int64, int64)], cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel([RANKED(SETS, int64, int64)], error_model="numpy", fastmath={"contract"})
 def rank(sets: Sets, first: int, last: int) -> Ranked:
     """Ranks the states of modules first+1 to last."""
     motions, states, seed, distances, costs = sets
@@ -263,10 +264,8 @@ def rank(sets: Sets, first: int, last: int) -> Ranked:
     return Ranked(order, away, dearer, via, nearest, rest, back, price)
 
 
-@njit(
+@kernel(
     [GROWN(SETS, RANKED, int64, float64, int64, ROWS)],
-    cache=True,
-    nogil=True,
     error_model="numpy",
     fastmath={"contract"},
 )

@@ -4,9 +4,10 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from numba import boolean, float64, int64, njit
+from numba import boolean, float64, int64
 from numpy.typing import ArrayLike, NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, F4, I1, I2, UNCOUNTED, named
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.manipulator.manipulator import tip as tip_of
@@ -117,13 +118,13 @@ def states_of(chain: Chain, keys: Integers) -> Integers:
     return np.ascontiguousarray((keys[:, chain.words] >> chain.shifts) & chain.masks)
 
 
-@njit(int64(CHAIN, I2, int64, int64), **UNCOUNTED, inline="always")
+@kernel(int64(CHAIN, I2, int64, int64), **UNCOUNTED, inline="always")
 def state_of(chain: Chain, keys: Integers, n: int, i: int) -> int:
     """Returns the state of module i in keys[n]."""
     return int((keys[n, chain.words[i]] >> chain.shifts[i]) & chain.masks[i])
 
 
-@njit(MOVED, **UNCOUNTED, inline="always")
+@kernel(MOVED, **UNCOUNTED, inline="always")
 def moved(frames: Array, n: int, x: float, y: float, z: float) -> Point:
     """Returns a point moved by frames[n]."""
     if frames.shape[1] == 4:
@@ -136,7 +137,7 @@ def moved(frames: Array, n: int, x: float, y: float, z: float) -> Point:
     )
 
 
-@njit(MOVED, **UNCOUNTED, inline="always")
+@kernel(MOVED, **UNCOUNTED, inline="always")
 def moved_back(frames: Array, n: int, x: float, y: float, z: float) -> Point:
     """Returns a point moved by the inverse of frames[n]."""
     if frames.shape[1] == 4:
@@ -150,7 +151,7 @@ def moved_back(frames: Array, n: int, x: float, y: float, z: float) -> Point:
     )
 
 
-@njit(int64(CHAIN, I2, int64, F2), **UNCOUNTED)
+@kernel(int64(CHAIN, I2, int64, F2), **UNCOUNTED)
 def write_tip(chain: Chain, keys: Integers, n: int, frames: Array) -> int:
     """Writes the tip of keys[n] in F_0 to one of the last two frames; returns which."""
     motions, kinds, now = chain.motions, chain.costs.shape[1], len(frames) - 1
@@ -163,7 +164,7 @@ def write_tip(chain: Chain, keys: Integers, n: int, frames: Array) -> int:
     return now
 
 
-@njit(boolean(CHAIN, PLACES, int64, I2, int64), cache=True, nogil=True)
+@kernel(boolean(CHAIN, PLACES, int64, I2, int64))
 def serves_on_edge(chain: Chain, places: Places, k: int, keys: Integers, n: int) -> bool:
     """Returns whether keys[n] serves point k, a position or pose, by `within`."""
     configuration = np.empty(len(chain.states), np.int64)
@@ -173,7 +174,7 @@ def serves_on_edge(chain: Chain, places: Places, k: int, keys: Integers, n: int)
     return bool(within(tip, places.goals[k], places.tolerances[k], places.turns[k]))
 
 
-@njit(boolean(CHAIN, PLACES, int64, F2, int64, I2, int64), **UNCOUNTED)
+@kernel(boolean(CHAIN, PLACES, int64, F2, int64, I2, int64), **UNCOUNTED)
 def serves(chain: Chain, places: Places, k: int, tips: Array, tip: int, keys: Integers, n: int) -> bool:
     """Returns whether keys[n], whose tip is tips[tip], serves point k. Where rounding might decide, `within` does."""
     if places.fixed[k]:
@@ -196,7 +197,7 @@ def serves(chain: Chain, places: Places, k: int, tips: Array, tip: int, keys: In
     return bool(sure or serves_on_edge(chain, places, k, keys, n))
 
 
-@njit(
+@kernel(
     for_scenes(lambda scene: boolean(CHAIN, PLACES, int64, scene, F2, I2, int64, I1)),
     **UNCOUNTED,
 )

@@ -3,9 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import boolean, float32, float64, int64, njit, types
+from numba import boolean, float32, float64, int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, I2, S1, UNCOUNTED, named
 from hyperbit.controller.obstacles.scene import Scene, for_scenes
 from hyperbit.controller.search.lists.segment import compose, invert
@@ -65,7 +66,7 @@ def room_for_changes(chain: Chain, rows: int) -> Changed:
     )
 
 
-@njit("b1(f4[:,::1], u8, u8, f4, f4, f4, f4, b1)", **UNCOUNTED, fastmath=True)
+@kernel("b1(f4[:,::1], u8, u8, f4, f4, f4, f4, b1)", **UNCOUNTED, fastmath=True)
 def any_near(points: Singles, begin: int, end: int, x: float, y: float, z: float, square: float, planar: bool) -> bool:
     """Returns whether one of some points (3, m) is within a squared distance of (x, y, z)."""
     total, none = np.float32(0), np.float32(0)
@@ -80,13 +81,13 @@ def any_near(points: Singles, begin: int, end: int, x: float, y: float, z: float
     return bool(total > none)
 
 
-@njit("f8(f4[:,::1], i8, f8, f8, f8)", **UNCOUNTED, inline="always")
+@kernel("f8(f4[:,::1], i8, f8, f8, f8)", **UNCOUNTED, inline="always")
 def square_to(points: Singles, n: int, x: float, y: float, z: float) -> float:
     """Returns the squared distance of (x, y, z) from points (3, m) at n."""
     return float((points[0, n] - x) ** 2 + (points[1, n] - y) ** 2 + (points[2, n] - z) ** 2)
 
 
-@njit("void(f8[:,::1], i8, f4[:,::1], u8, f4[:,::1], u8)", **UNCOUNTED)
+@kernel("void(f8[:,::1], i8, f4[:,::1], u8, f4[:,::1], u8)", **UNCOUNTED)
 def move_all(frames: Array, n: int, points: Singles, count: int, out: Singles, at: int) -> None:
     """Writes the first points (3, m), moved by frames[n], to out[:, at:]."""
     if frames.shape[1] == 4:
@@ -104,7 +105,7 @@ def move_all(frames: Array, n: int, points: Singles, count: int, out: Singles, a
                 out[a, at + m] = t + u * points[0, m] + v * points[1, m] + w * points[2, m]
 
 
-@njit(types.void(CHAIN, CHANGED, I2, int64), **UNCOUNTED)
+@kernel(types.void(CHAIN, CHANGED, I2, int64), **UNCOUNTED)
 def prepare(chain: Chain, changed: Changed, keys: Integers, n: int) -> None:
     """Computes the frames of keys[n] and their inverses."""
     frames, movements, kinds, modules = changed.frames, chain.motions, chain.costs.shape[1], len(chain.states)
@@ -114,7 +115,7 @@ def prepare(chain: Chain, changed: Changed, keys: Integers, n: int) -> None:
         invert(frames, i, frames, modules + 1 + i)
 
 
-@njit(types.void(CHAIN, CHANGED, int64, int64), **UNCOUNTED)
+@kernel(types.void(CHAIN, CHANGED, int64, int64), **UNCOUNTED)
 def put_motion(chain: Chain, changed: Changed, i: int, j: int) -> None:
     """Writes the motion of all above module i, when it takes state j, to the last frame but two."""
     frames, modules = changed.frames, len(chain.states)
@@ -122,7 +123,7 @@ def put_motion(chain: Chain, changed: Changed, i: int, j: int) -> None:
     compose(frames, 2 * modules + 3, frames, modules + 2 + i, frames, 2 * modules + 2)
 
 
-@njit(
+@kernel(
     for_scenes(lambda scene: boolean(CHAIN, PLACES, int64, scene, CHANGED, I2, int64, int64, int64, float64, FOUND)),
     **UNCOUNTED,
 )

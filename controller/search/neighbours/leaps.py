@@ -6,9 +6,10 @@ single changes bring the tip near the goal, and lists around those configuration
 """
 
 import numpy as np
-from numba import int64, njit, types
+from numba import int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F3, I2, UNCOUNTED
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.search.clock import CHANGED as CHANGED_ONE
@@ -123,7 +124,7 @@ class Leaps:
         return following[first]
 
 
-@njit(types.void(CHAIN, CHANGED, I2, int64, F3), **UNCOUNTED)
+@kernel(types.void(CHAIN, CHANGED, I2, int64, F3), **UNCOUNTED)
 def write_tips(chain: Chain, changed: Changed, keys: Integers, n: int, tips: Array) -> None:
     """Writes the tips (B, Kmax, 3) of keys[n] with one module in another state; infinite for its own state."""
     prepare(chain, changed, keys, n)

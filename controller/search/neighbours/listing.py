@@ -6,9 +6,10 @@ changes move the tip to points, the inverse changes of the lower modules move th
 """
 
 import numpy as np
-from numba import boolean, float64, int64, njit
+from numba import boolean, float64, int64
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, I2, UNCOUNTED
 from hyperbit.controller.obstacles.scene import Scene, for_scenes
 from hyperbit.controller.search.neighbours.chain import CHAIN, PLACES, Chain, Places, moved, moved_back, state_of
@@ -33,13 +34,13 @@ FEW, FEWER = 4096, 256  # points that are compared one by one; if several lower 
 CELL = 2.000001  # width of a cell in search radii: rounding must not put near points more than one cell apart
 
 
-@njit("i8(i8, i8, i8)", **UNCOUNTED, inline="always")
+@kernel("i8(i8, i8, i8)", **UNCOUNTED, inline="always")
 def hash_of(i: int, j: int, k: int) -> int:
     """Returns a hash of a cell's coordinates, at least 0."""
     return (i * 73856093 ^ j * 19349663 ^ k * 83492791) & 0x7FFFFFFF
 
 
-@njit(
+@kernel(
     for_scenes(lambda scene: int64(CHAIN, PLACES, int64, scene, CHANGED, I2, int64, float64, FOUND)),
     **UNCOUNTED,
     error_model="numpy",
@@ -133,7 +134,7 @@ def list_upper(
     return count
 
 
-@njit(int64(CHANGED, int64, float64), **UNCOUNTED, error_model="numpy")
+@kernel(int64(CHANGED, int64, float64), **UNCOUNTED, error_model="numpy")
 def put_into_cells(changed: Changed, count: int, radius: float) -> int:
     """Puts the first points of the tip into hashed cells; returns the number of hash slots."""
     points, links, heads, per, slots = changed.upper, changed.links, changed.heads, 1.0 / (CELL * radius), 64
@@ -147,7 +148,7 @@ def put_into_cells(changed: Changed, count: int, radius: float) -> int:
     return slots
 
 
-@njit(
+@kernel(
     for_scenes(
         lambda scene: boolean(CHAIN, PLACES, int64, scene, CHANGED, I2, int64, float64, FOUND, int64, int64, int64)
     ),
@@ -190,7 +191,7 @@ def match(
     return True
 
 
-@njit(
+@kernel(
     for_scenes(lambda scene: int64(CHAIN, PLACES, int64, scene, CHANGED, I2, int64, float64, FOUND, int64)),
     **UNCOUNTED,
     error_model="numpy",
@@ -259,7 +260,7 @@ def match_lower(
     return many
 
 
-@njit(
+@kernel(
     for_scenes(lambda scene: int64(CHAIN, PLACES, int64, scene, I2, F1, CHANGED, FOUND)),
     **UNCOUNTED,
     error_model="numpy",

@@ -8,9 +8,10 @@ the highest, modules of the other list's configurations are looked up there.
 from typing import NamedTuple
 
 import numpy as np
-from numba import int64, njit
+from numba import int64
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, S1, UNCOUNTED, named
 from hyperbit.controller.search.neighbours.chain import Chain
 
@@ -117,7 +118,7 @@ def tables_of(chain: Chain) -> Tables:
     return Tables(costs, shifts, masks)
 
 
-@njit(int64(TABLES, GROUPS, CHANGES, I1, F1, I1, I1, I1, F1), **UNCOUNTED)
+@kernel(int64(TABLES, GROUPS, CHANGES, I1, F1, I1, I1, I1, F1), **UNCOUNTED)
 def join(
     tables: Tables,
     group: Groups,

@@ -8,9 +8,10 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numba import boolean, float32, float64, int64, njit, types
+from numba import boolean, float32, float64, int64, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, UNCOUNTED, named
 from hyperbit.controller.search.lists.segment import compose
 from hyperbit.controller.search.neighbours.chain import CHAIN, Chain, moved_back
@@ -89,7 +90,7 @@ def identity(frames: Array) -> None:
     frames[0, 2 if planar else 3 :: 2 if planar else 4] = 1.0
 
 
-@njit(int64(UPPER_TIPS, float64, float64, float64), **UNCOUNTED, error_model="numpy", inline="always")
+@kernel(int64(UPPER_TIPS, float64, float64, float64), **UNCOUNTED, error_model="numpy", inline="always")
 def cell_of(tips: UpperTips, x: float, y: float, z: float) -> int:
     """Returns the cell of a point."""
     i = int((x - tips.least[0]) / tips.cell)
@@ -98,7 +99,7 @@ def cell_of(tips: UpperTips, x: float, y: float, z: float) -> int:
     return int((k * tips.counts[1] + j) * tips.counts[0] + i)
 
 
-@njit(types.void(CHAIN, UPPER_TIPS, F2, I1, boolean), **UNCOUNTED, error_model="numpy")
+@kernel(types.void(CHAIN, UPPER_TIPS, F2, I1, boolean), **UNCOUNTED, error_model="numpy")
 def fill(chain: Chain, tips: UpperTips, frames: Array, chosen: Integers, write: bool) -> None:
     """Counts the tips of each cell in `starts`, or writes them at `starts`, which move on to the end of each cell."""
     first, modules, kinds, planar = tips.cut, len(chain.states), chain.costs.shape[1], frames.shape[1] == 4
@@ -146,7 +147,7 @@ def walks(chain: Chain, tips: UpperTips, near: Array) -> list[Walk]:
     return result
 
 
-@njit(int64(CHAIN, UPPER_TIPS, WALK, F1, F2, float64, F1, float64, I1), **UNCOUNTED, error_model="numpy")
+@kernel(int64(CHAIN, UPPER_TIPS, WALK, F1, F2, float64, F1, float64, I1), **UNCOUNTED, error_model="numpy")
 def list_serving(
     chain: Chain,
     tips: UpperTips,
