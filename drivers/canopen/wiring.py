@@ -274,6 +274,17 @@ class Timing:
                 raise ValueError(f"{name} is {getattr(self, name)} s, not 0 or more")
 
 
+LATE = 0.011  # [s], a period of the master's ticks and what timers add
+
+
+def next_due(due: float, period: float, now: float) -> float:
+    """Returns when something periodic that was `due` is due again [s].
+
+    It keeps its phase, so that ticks which are a little late do not add up.
+    """
+    return (due if now <= due + LATE else now) + period
+
+
 def _refuse_duplicates(what: str, names: list[str]) -> None:
     duplicates = [name for name, times in Counter(names).items() if times > 1]
     if duplicates:

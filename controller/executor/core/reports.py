@@ -12,6 +12,7 @@ from hyperbit.controller.executor.motion.motion import ArmMotion
 from hyperbit.controller.program import Diagnostics, Fault, Mode, Snapshot, pack
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.run.master import Master
+from hyperbit.drivers.canopen.wiring import next_due
 
 SNAPSHOT_EVERY, DIAGNOSTICS_EVERY = 0.05, 1.0  # [s]
 MOST_FAULTS, MOST_TEXT = 50, 300  # faults, and characters of each, so that a snapshot fits one message
@@ -49,7 +50,8 @@ class Reports:
         return self.changed or now >= self._next_snapshot
 
     def snapshot(self, now: float, mode: Mode, reason: str, epoch: int, faults: tuple[ArmFault, ...]) -> Snapshot:
-        self.changed, self._next_snapshot = False, now + SNAPSHOT_EVERY
+        due = self._next_snapshot if now >= self._next_snapshot else now
+        self.changed, self._next_snapshot = False, next_due(due, SNAPSHOT_EVERY, now)
         motion, size = self._motion, self._size
         execution, stream = motion.execution, motion.stream
         measured, known = motion.readings.packed()
@@ -92,7 +94,7 @@ class Reports:
         return now >= self._next_diagnostics
 
     def diagnostics(self, now: float) -> Diagnostics:
-        self._next_diagnostics = now + DIAGNOSTICS_EVERY
+        self._next_diagnostics = next_due(self._next_diagnostics, DIAGNOSTICS_EVERY, now)
         status = self._master.status()
         return Diagnostics(
             at=now,

@@ -10,7 +10,7 @@ from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame, State
 from hyperbit.drivers.canopen.wire.link import Link, Outgoing
-from hyperbit.drivers.canopen.wiring import MASTER, Timing
+from hyperbit.drivers.canopen.wiring import MASTER, Timing, next_due
 
 _LONGEST_STEP = 0.05  # [s]
 _PHASES = 10  # groups of boards with node guarding, polled at different ticks
@@ -27,16 +27,19 @@ class Heartbeat:
         self._last: float | None = None  # time of the last `tick`; None also after a reported pause
         self._sent: dict[str, float] = {}  # time of the last heartbeat on each bus
         self._before: dict[str, float] = {}  # time of the heartbeat before that
+        self._due: dict[str, float] = {}  # time of the next heartbeat
 
     def tick(self, clock: float, now: float) -> None:
         """Sends the heartbeats and polls due at `clock`; `now` stands still while the loop stalls."""
         self._last = clock
         for link in self._links:
-            sent = self._sent.get(link.name, -math.inf)
-            due = clock >= sent + self._period - 1e-6
+            sent, at = self._sent.get(link.name, -math.inf), self._due.get(link.name, -math.inf)
+            due = clock >= at - 1e-6
             if link.usable and (due or link.failing or link.misses_echo(now, BEAT)):  # shows whether others were sent
                 link.send_frame(BEAT, now)
                 self._before[link.name], self._sent[link.name] = sent, clock
+                if due:
+                    self._due[link.name] = next_due(at, self._period, clock)
         for board in self._boards:
             at, last = self._polls.get(board.index, (-math.inf, None))
             if not board.guarded or not board.link.usable or clock < at + self._period - 1e-6:
@@ -59,7 +62,7 @@ class Heartbeat:
     def send_failed(self, bus: str, frame: Frame) -> None:
         """Records that a frame could not be sent; the next tick repeats a heartbeat."""
         if frame == BEAT:
-            self._sent[bus] = self._before.get(bus, -math.inf)
+            self._sent[bus], self._due[bus] = self._before.get(bus, -math.inf), -math.inf
 
     def find_pause(self, clock: float) -> ArmFault | None:
         """Returns a fault if boards have lost their master since the last `tick`; each pause once."""
