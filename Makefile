@@ -15,28 +15,21 @@ demo: $(VENV)/kernels
 panel: $(VENV)/kernels $(VENV)/panel
 	$(BIN)/hyperbit run deploy/planar16.yaml --simulate --panel
 
-# Tests in real time mostly wait, so they run beside the others, which yield the processors to them. If one part fails,
-# the other one still runs.
+# If one part fails, the other one still runs.
 test: $(VENV)/test-kernels
-	$(MAKE) --no-print-directory --jobs 2 check test-bytecode
-	$(MAKE) --no-print-directory --keep-going --jobs 2 test-real-time test-others
+	$(MAKE) --no-print-directory --keep-going --jobs 2 test-check test-run
 
-.PHONY: test-bytecode test-real-time test-others
-# Rewrites the assertions of all tests once. Otherwise each process of the tests would. What fails here fails there, too.
-test-bytecode: $(VENV)/installed
-	-$(BIN)/pytest --collect-only --ignore tests/browser > /dev/null
-
-REAL_TIME := tests/system
+.PHONY: test-check test-run
 # Prints its report when it is done.
-test-real-time:
+test-check: $(VENV)/installed
 	report=$$(mktemp); code=0; \
-	$(BIN)/pytest --numprocesses 4 --dist loadfile $(REAL_TIME) $(ARGS) > $$report 2>&1 || code=$$?; \
+	$(MAKE) --no-print-directory check > $$report 2>&1 || code=$$?; \
 	cat $$report; rm $$report; exit $$code
 
-# More processes than processors, because many of these tests wait, too. They leave BLAS no threads to gain by.
-test-others:
-	OPENBLAS_NUM_THREADS=1 nice $(BIN)/pytest --numprocesses 5 --dist worksteal --durations 20 $(REAL_TIME:%=--ignore %) \
-		--ignore tests/browser
+# More processes than processors, because many tests wait. Tests in real time wait most, so that they run beside the others,
+# which yield the processors to them. BLAS has no threads to gain by.
+test-run: $(VENV)/installed
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --forks 5 --forks-beside 4 --durations 20 --ignore tests/browser $(ARGS)
 
 # Prepares the virtual machine, so that its tests begin at once.
 vm: $(VENV)/installed

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from hyperbit.controller.arm.arm import Arm, load
 from hyperbit.controller.manipulator.manipulator import Manipulator
@@ -18,14 +18,15 @@ from hyperbit.controller.workspace.cache import load_or_map
 from hyperbit.controller.workspace.densities import Densities
 from tests.waiting import SLOWNESS
 
-# The same examples on every run, and no deadline, which a busy machine would miss.
-settings.register_profile("hyperbit", derandomize=True, deadline=None)
+# The same examples on every run, and no limit of time, which a busy machine would miss.
+settings.register_profile("hyperbit", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("hyperbit")
 
 # A shell without job control starts what runs in the background with SIGINT ignored, and each child inherits that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 BUSES = ("virtual", "socketcan")
+pytest_plugins = ["tests.forks"]
 PAPER_ARM = Path(__file__).parents[1] / "deploy" / "planar16.yaml"
 
 

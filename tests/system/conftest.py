@@ -37,6 +37,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     only = config.getoption("bus")
     own = [item for item in items if Path(__file__).parent in item.path.parents]
     for item in own:
+        item.add_marker("real_time")
         if not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(600))
     if elsewhere := [item for item in own if only not in (None, *buses_of(item))]:
