@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, State
-from tests.simulation.judge.boards import MASTER
 from tests.simulation.judge.verdict import require
+from tests.simulation.statements.objects import MASTER
 
 if TYPE_CHECKING:
     from tests.simulation.world import World
@@ -110,8 +110,7 @@ class BootFaults:
     def _judge_objects(self) -> None:
         world = self._world
         for name in world.boards.simulated.names:
-            objects = world.boards.simulated.board(name).objects
-            world.objects.judge(name, objects.has, objects.number)
+            world.objects.judge(name)
 
     def _configure_otherwise(self, board: Any) -> None:
         """Gives some objects wrong values, which a boot corrects."""

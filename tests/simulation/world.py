@@ -24,7 +24,6 @@ from tests.simulation.facts import Step
 from tests.simulation.feed import Feed, Witnesses
 from tests.simulation.interface_feed import InterfaceFeed, interface_judge
 from tests.simulation.invariants import INVARIANTS
-from tests.simulation.judge.boards import BoardObjects
 from tests.simulation.judge.judge import Judge
 from tests.simulation.judge.memory import Memory
 from tests.simulation.judge.traffic import Look
@@ -34,6 +33,7 @@ from tests.simulation.record import Record
 from tests.simulation.single_faults import SingleFaults
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.executor import every_statement
+from tests.simulation.statements.objects import BoardObjects
 from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.planned_arms import draw_planned_arm
 
@@ -84,7 +84,7 @@ class World:
         self.judge = judge = Judge(arm)
         self.account = Account(self)
         self.account.judge(every_statement(self.account))
-        self.objects = BoardObjects(arm)
+        self.objects = next(one for one in self.account.statements.every if isinstance(one, BoardObjects))
         feed = Feed(judge, agenda, lambda counts: None)
         witness = Witnesses(record, self.account, feed)
         self.habits = habits = Habits(drawn("habits"))
@@ -178,8 +178,7 @@ class World:
         if self.daemon is not None:
             check_daemon(self, self.daemon)
         for name in self.boards.simulated.names:
-            objects = self.boards.simulated.board(name).objects
-            self.objects.judge(name, objects.has, objects.number)
+            self.objects.judge(name)
         if not self.record.suspect:
             self.be_undisturbed()
 

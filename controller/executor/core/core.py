@@ -98,6 +98,17 @@ class Executor:
         actions, self._actions = self._actions, []
         return actions
 
+    def check(self) -> None:
+        """Asserts what must hold inside after each step. Tests call it; the robot never does."""
+        mode, motion, clients = self.modes.mode, self.motion, self.clients
+        motion.check()
+        runs = motion.execution is not None or motion.stream is not None
+        assert runs == (mode == "executing"), f"something runs: {runs}, in mode {mode}"
+        assert bool(self.modes.faults) or mode != "fault", "mode fault without a fault"
+        assert not self.modes.faults or mode not in ("ready", "executing"), f"{self.modes.faults} in mode {mode}"
+        assert clients.planner is None or clients.roles[clients.planner] == "planner"
+        assert not self.locked.states & ~self.locked.mask, "a state without a lock"
+
     def _fail(self, text: str, now: float) -> None:
         """Holds after a defect. The defect is logged once, not at each tick."""
         self._healthy = False

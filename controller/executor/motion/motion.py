@@ -103,6 +103,15 @@ class ArmMotion:
         self._travel_times.forget(-1)
         self.actuation.adopt(self.readings.read, self.readings.definite, now)
 
+    def check(self) -> None:
+        """Asserts what must hold after each step, see `Executor.check`."""
+        execution, actuation = self.execution, self.actuation
+        assert execution is None or self.stream is None, "a program and a stream run at once"
+        assert execution is None or (execution.mark >= -1 and execution.taken <= execution.begun)
+        assert self._ended is None or self.committing, "a result waits for no commit"
+        assert not actuation.uncertain & ~self.kinds.paired, "an actuator with one output is uncertain"
+        assert not actuation.missed & ~actuation.uncertain, "a missed pulse is believed"
+
     # --- begin and end
 
     def run(self, execution: ProgramExecution) -> None:

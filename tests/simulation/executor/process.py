@@ -239,6 +239,7 @@ class ExecutorProcess:
         assert self.core is not None
         self._witness.told(event)
         actions = self.core.step(event, self._agenda.now)
+        self.core.check()
         if self.recorder is not None:
             self.recorder(event, self._agenda.now, None, actions)
         for action in actions:

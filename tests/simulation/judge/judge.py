@@ -7,7 +7,7 @@ from typing import Any
 
 from tests.simulation.judge.account import Account, Commit
 from tests.simulation.judge.arm import JudgedArm, mask_of
-from tests.simulation.judge.boards import BoardObjects, Endings
+from tests.simulation.judge.boards import Endings
 from tests.simulation.judge.clients import Clients
 from tests.simulation.judge.commands import Commands
 from tests.simulation.judge.counts import Counts
@@ -55,7 +55,7 @@ class Judge:
         self._ticks = False  # whether the event that is handled begins a period
         self._found = 0  # mask of the actuators of unknown state that the last SYNC has energised; each is a switch
         self._asked_to_end: bool | None = None  # at a request to end, whether the arm contracts before
-        self.objects, self.endings = BoardObjects(arm), Endings(self.account, arm)
+        self.endings = Endings(self.account, arm)
         self.traffic, self.log = Traffic(self.account, arm), Log(self.account, self.endings.lets_go)
 
     def at(self, now: float) -> None:

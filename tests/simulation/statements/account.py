@@ -102,6 +102,10 @@ class Motion:
         self.taken, self.barred_at, self.strict = -1, math.inf, message.strict
         self.ended: Ended | None = None
 
+    @property
+    def number(self) -> int:
+        return self.message.program if isinstance(self.message, Program) else self.message.stream
+
     def append(self, first: int, stages: Iterable[Any]) -> None:
         """Replaces the stages from `first` on."""
         self.stages[first:] = [
@@ -217,6 +221,11 @@ class Account(Witness):
         return 0 if self.shown is None else unpack(self.shown.homing)
 
     @property
+    def known(self) -> int:
+        """Mask of the actuators whose states are known, as told."""
+        return 0 if self.shown is None else unpack(self.shown.known)
+
+    @property
     def locked(self) -> int:
         """Mask of the locked actuators, as told."""
         return self.arm.declared[0] if self.shown is None else unpack(self.shown.locked)
@@ -318,7 +327,7 @@ class Account(Witness):
             case Cancel(program=None) if client == self.planner:
                 self.bar()
             case Cancel(program=number) if client == self.planner and self.running is not None:
-                if self.running.message.program == number:
+                if self.running.number == number:
                     self.running.barred_at = self.now
             case Clearance() if client == self.planner:
                 self.questioned = False
@@ -327,7 +336,6 @@ class Account(Witness):
             case Acknowledge() if client == self.planner:
                 self.owed.pop(message.result, None)
             case Setpoint() if client == self.planner and message.epoch >= self.epoch:
-                self.followed = [one for one in self.followed if one.message.stream == message.stream]
                 self.followed.append(Motion(message, self.order, self.now))
             case _:
                 pass
@@ -370,6 +378,7 @@ class Account(Witness):
                     self.missed = self.fallen = 0
                     self.booted = True
                 self.shown, self.epoch = message, message.epoch
+                self.followed = [one for one in self.followed if one.number >= message.stream]
             case _:
                 pass
 
@@ -392,8 +401,7 @@ class Account(Witness):
         self.see("sends", bus, frame)
         if frame.id & 0x780 in RPDOS:
             asked = [(motion, motion.due(self.now)) for motion in self.wanted]
-            ran = self.running.message if self.running is not None else None
-            number = ran.program if isinstance(ran, Program) else None
+            number = None if self.running is None else self.running.number
             strict = self.running is not None and self.running.strict
             self._commanded[bus] = Sync(self.now, self.now, number, strict, asked)
         elif frame.id == cia301.NMT and frame.data[1:]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.simulation.statements import pins, programs, running, told
+from tests.simulation.statements import objects, pins, programs, running, told
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.statement import Statement
 
@@ -28,6 +28,7 @@ EVERY: tuple[type[Statement], ...] = (
     told.ResultsCountTheirSwitches,
     told.NumbersNeverFall,
     told.EpochsEnd,
+    objects.BoardObjects,
     running.HeartbeatsDoNotPause,
     running.DiagnosticsCome,
     running.NothingBeginsBesideAnOpenDoor,

@@ -77,7 +77,7 @@ class ValidProgramsRun(Statement):
             return
         if isinstance(message, Accepted):
             self._declined[program.strict] = 0
-        elif account.world.planner.calm and account.mode == "ready" and account.clear:
+        elif account.world.daemon is None and account.mode == "ready" and account.clear:
             self._declined[program.strict] += 1
             count = self._declined[program.strict]
             self.require(count < 4, f"{count} programs in a row are declined, strict: {program.strict}: {message}")
@@ -273,7 +273,7 @@ class StagesBeginInTime(Statement):
             return
         since = self._since.setdefault(text, self.account.now)
         running = self.account.running
-        number = running.message.program if running is not None and isinstance(running.message, Program) else -1
+        number = -1 if running is None else running.number
         self.require(self.account.now - since <= longest, f"program {number}: {text}, for {longest:g} s")
 
 
@@ -344,7 +344,7 @@ class LocksAndResetsAreSound(Statement):
             return
         if isinstance(asked, Lock) and asked.request == message.request and asked.state >= 0 and account.clear:
             k, pins = asked.actuator, account.pins[-1]
-            still = account.now > account.changed_at[k] + NOTICED
+            still = account.now > account.changed_at[k] + NOTICED and account.known >> k & 1
             if k < account.arm.count and account.arm.definite(pins.extended, pins.contracted) >> k & 1 and still:
                 read = account.arm.measured(pins.extended, pins.contracted, 0) >> k & 1
                 self.require(read == asked.state, f"actuator {k} is locked in {asked.state}, and reads {read}")

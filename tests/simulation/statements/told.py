@@ -47,7 +47,7 @@ class SnapshotsAreTrue(Statement):
         driven, ever, always = unpack(message.outputs), 0, -1
         for pins in account.since(account.now - LATE):
             ever, always = ever | pins.states, always & pins.states
-        wrong = (driven & ~ever | ~driven & always) & ~account.homing & ~account.locked
+        wrong = (driven & ~ever | ~driven & always) & ~account.homing & ~unpack(message.homing) & ~account.locked
         self.require(not wrong, lambda: f"the outputs {driven:b} are told, {wrong:b} is wrong")
         travels = self._travelling(account.now)
         self.require(message.moving or not travels, lambda: f"{travels:b} travel, and nothing is told as moving")
