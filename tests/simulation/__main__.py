@@ -17,11 +17,13 @@ from pathlib import Path
 from tests.simulation import events
 from tests.simulation.fieldbus.world import BoardWorld
 from tests.simulation.judge.verdict import Violation
+from tests.simulation.statements.executor import EVERY
 from tests.simulation.whole.planner_process import LOGS
 from tests.simulation.world import World
 
 KINDS = ("scripted", "whole", "boards")
 STEPS_A_SEED = 5_000  # of each kind: many arms find more than long lives
+LONG = 100_000  # steps of scripted worlds, within which each statement must have been armed
 MOST_FAILED = 20  # failed seeds, after which the run ends
 
 
@@ -53,8 +55,13 @@ def main() -> int:
     print(f"{turns.steps} steps, {seeds}, {time.monotonic() - began:.0f} s")
     for name, count in sorted(counts.items()):
         print(f"  {name}: {count}")
-    print(f"failed seeds: {failed}" if failed else "no invariant was violated")
-    return bool(failed)
+    idle = []
+    if turns.of.get("scripted", 0) >= LONG:
+        idle = [one.title() for one in EVERY if counts[f"{one.title()}: armed"] < one.least]
+    if idle:
+        print(f"too seldom armed: {', '.join(idle)}")
+    print(f"failed seeds: {failed}" if failed else "no statement was violated")
+    return bool(failed or idle)
 
 
 class Turns:

@@ -32,6 +32,10 @@ class Statement:
         self.account = account
         self.armed = self.reached = 0
 
+    @classmethod
+    def title(cls) -> str:
+        return f"statement {cls.number:2} {cls.__name__}"
+
     def require(self, holds: object, text: Callable[[], str] | str) -> None:
         """Arms the statement. Raises `Violation` with time and facts if it does not hold."""
         self.armed += 1
@@ -60,7 +64,6 @@ class Statements:
         """Returns how often each statement was reached and armed."""
         counts: Counter[str] = Counter()
         for one in self.every:
-            name = f"statement {one.number:2} {type(one).__name__}"
-            counts[f"{name}: armed"] += one.armed
-            counts[f"{name}: reached"] += one.reached
+            counts[f"{one.title()}: armed"] += one.armed
+            counts[f"{one.title()}: reached"] += one.reached
         return counts
