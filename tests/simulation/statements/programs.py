@@ -193,7 +193,7 @@ class DoneIsProven(Statement):
                 unknown = account.homing & ~account.locked & motion.homes
                 self.require(not unknown, f"program {message.program} is done, and has not homed {unknown:b}")
         if isinstance(message, Ended):
-            told = message.verified or self._moved & arm.forgone
+            told = message.verified or (self._moved | account.missed) & arm.forgone
             self.require(told, f"program {message.program} is not verified, {self._moved:b} have moved")
 
 
