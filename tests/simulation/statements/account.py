@@ -178,7 +178,8 @@ class Account(Witness):
         programs: accepted programs of this process by number.
         running: the last of them, until its result.
         followed: set-points that may be followed.
-        missed: mask of the actuators whose boards have missed a frame since their boot.
+        missed: mask of the actuators whose boards have missed a frame since their boot; where nobody reads the outputs
+            back, since their last switch.
         fallen: mask of the actuators whose outputs changed without a SYNC since the boot.
     """
 
@@ -375,7 +376,7 @@ class Account(Witness):
                 if message.epoch > self.epoch or message.mode not in ("ready", "executing"):
                     self.bar()
                 if self.mode == "starting" and message.mode == "ready":  # the outputs were read back
-                    self.missed = self.fallen = 0
+                    self.missed, self.fallen = self.missed & self.arm.forgone, 0
                     self.booted = True
                 self.shown, self.epoch = message, message.epoch
                 self.followed = [one for one in self.followed if one.number >= message.stream]
@@ -433,6 +434,7 @@ class Account(Witness):
         for k in bits_of(switch.mask):
             self.switched_at[k] = self.now
         self.fallen |= switch.mask * (switch.cause != "SYNC")
+        self.missed &= ~(switch.mask & self.arm.forgone)
         last = self.pins[-1]
         self.pins.append(last._replace(at=self.now, states=merged(switch.mask, switch.after, last.states)))
 
