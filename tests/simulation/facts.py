@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
-from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.judge.account import Commit
 
 if TYPE_CHECKING:
@@ -36,17 +34,3 @@ class Energised(NamedTuple):
     bus: str
     commit: Commit | None
     sync: Sync | None
-
-
-@dataclass
-class Step:
-    """The facts of the last step of the world."""
-
-    frames: list[tuple[str, Frame]] = field(default_factory=list)
-    switches: list[Switch] = field(default_factory=list)
-    energised: list[Energised] = field(default_factory=list)
-    errors: list[str] = field(default_factory=list)
-
-    @property
-    def empty(self) -> bool:
-        return not (self.frames or self.switches or self.energised or self.errors)

@@ -13,11 +13,10 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.bus_model import RPDOS
-from tests.simulation.executor.process import LOOP_FAILS, Witness
-from tests.simulation.facts import Energised, Step, Switch
+from tests.simulation.executor.process import Witness
+from tests.simulation.facts import Energised, Switch
 
 LATELY = 0.5  # [s], longest time from a refusal of the executor to the planner's answer
-MASTER_HEARTBEAT = cia301.HEARTBEAT + 127
 
 
 class Record(Witness):
@@ -32,16 +31,11 @@ class Record(Witness):
         fallen: mask of the actuators whose outputs changed without a SYNC, perhaps unknown to the executor.
         suspect: mask of the actuators whose boards have missed a frame since their boot.
         misses: takes `suspect` when it changes.
-        last_heartbeat: time of the executor's last heartbeat on each bus [s].
-        looks_at: time of the next look at the buses [s].
-        disturbed_at: last time when its heartbeats could not be sent on each bus [s].
         open_since: time when an interlock was opened [s]; infinity if all are closed.
-        unread_at: last time when the board of the interlock did not send its inputs [s].
     """
 
     def __init__(self, arm: ExecutedArm, agenda: Agenda, note: Callable[[object], None]) -> None:
         count = len(arm.actuators)
-        self.step = Step()
         self.counts: Counter[str] = Counter()
         self.instance = 0
         self.programs: dict[tuple[int, int], Program] = {}
@@ -50,10 +44,7 @@ class Record(Witness):
         self.suspect = self.fallen = 0
         self.lying = self._lied = 0
         self.misses: Callable[[int], None] = lambda suspect: None
-        self.last_heartbeat = {bus.name: agenda.now for bus in arm.wiring.buses}
-        self.disturbed_at = dict(self.last_heartbeat)
-        self.looks_at = 0.0
-        self.open_since, self.unread_at, self._closed_at = math.inf, agenda.now, -math.inf
+        self.open_since, self._closed_at = math.inf, -math.inf
         self._mode = "starting"
         self._agenda, self._note = agenda, note
         self._message: object = None
@@ -101,17 +92,10 @@ class Record(Witness):
 
     def logs(self, level: int, text: str) -> None:
         self._note(("executor logs", text))
-        if text.startswith("internal error") and LOOP_FAILS not in text:
-            self.step.errors.append(text)
-
-    def sends(self, bus: str, frame: Frame) -> None:
-        self.step.frames.append((bus, frame))
 
     def arrives(self, bus: str, frame: Frame, missing: int) -> None:
         """Records a sent frame of the executor; the boards of a mask of actuators do not receive it."""
         self._note(("boards hear", bus, frame, f"not those of {missing:b}" if missing else ""))
-        if frame.id == MASTER_HEARTBEAT:
-            self.last_heartbeat[bus] = self._agenda.now
         if missing and (frame.id == cia301.SYNC or frame.id & 0x780 in RPDOS):
             self._suspect(self.suspect | missing)
         if self.suspect and frame.id == cia301.SYNC:
@@ -120,7 +104,6 @@ class Record(Witness):
 
     def switch(self, switch: Switch) -> None:
         self._note((f"{switch.mask:b} switched to {switch.after:b}", switch.cause))
-        self.step.switches.append(switch)
         by_sync, commit = switch.cause == "SYNC", switch.commit
         for k in range(len(self.synced)):
             self.synced[k] += by_sync and switch.mask >> k & 1
@@ -132,8 +115,6 @@ class Record(Witness):
         self.counts["switches"] += switch.mask.bit_count() * by_sync
 
     def energise(self, coils: Energised) -> None:
-        if coils.came:
-            self.step.energised.append(coils)
         if coils.again:  # the end-stop of one that did not follow its coil told the other state
             for k in range(len(self.slack)):
                 self.slack[k] += coils.again >> k & 1

@@ -20,12 +20,9 @@ from tests.simulation.executor.arms import draw_arm, draw_boards
 from tests.simulation.executor.habits import Habits
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.executor.strangers import Strangers
-from tests.simulation.facts import Step
 from tests.simulation.feed import Feed, Witnesses
 from tests.simulation.interface_feed import InterfaceFeed, interface_judge
-from tests.simulation.invariants import INVARIANTS
 from tests.simulation.judge.judge import Judge
-from tests.simulation.judge.memory import Memory
 from tests.simulation.judge.traffic import Look
 from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.planner import ScriptedPlanner
@@ -117,8 +114,6 @@ class World:
         self.trouble = Trouble(self, drawn("trouble"))
         self.single_faults = SingleFaults(self, drawn("single faults"), seed)
         self._random = drawn("periods")
-        self._counts: list[int] = []
-        self._memory = Memory()
         self.executor.start()
 
     def run(self, steps: int) -> None:
@@ -148,12 +143,8 @@ class World:
 
     def one_step(self) -> None:
         """Runs the next event, and judges it."""
-        if not self.record.step.empty:
-            self.record.step = Step()
         self.agenda.step()
         self.record.doubt(self.intended)
-        for holds in INVARIANTS:
-            holds(self)
         self.account.steps()
         self.judge.pulses.watch(self.agenda.now, self.reaches)
         if self.daemon is not None:
@@ -225,7 +216,6 @@ class World:
         without = sorted(number for key in accepted - set(record.results) for number in key[1:])
         require(not without, f"programs {without} have no result")
         require(self.intended == 0, "the journal waits for nothing")
-        self._memory.judge(record.instance, self.executor.core, len(self.account.owed))
 
     def drawn_half(self) -> bool:
         return self._random.random() < 0.5
@@ -265,11 +255,6 @@ class World:
     def intended(self) -> int:
         """Mask of the intended switches that the journal has not counted yet."""
         return self.executor.journal._intended
-
-    def journal_changed(self) -> bool:
-        """Returns whether the journal's counts have changed since the last call."""
-        before, self._counts = self._counts, list(self.executor.journal.counts)
-        return before != self._counts
 
     def note(self, event: object) -> None:
         self.events.append((self.agenda.now, event))

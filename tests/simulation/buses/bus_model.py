@@ -46,7 +46,6 @@ class BusModel:
         answer_delay: longest delay of the boards' SDO answers [s].
         mute: whether the boards' SDO answers are lost.
         tpdos_to_lose: number of the next TPDOs that are lost.
-        tpdo_lost_at: time of the last lost TPDO [s].
         echo_lost_at: time of the last lost echo [s].
         echo_owed: whether the echoes of a command and of the heartbeats after it were lost.
 
@@ -66,7 +65,7 @@ class BusModel:
         self.name, self.state = name, "active"
         self.capacity, self.mailboxes, self.acknowledged = CAPACITY, MAILBOXES, True
         self.loss = self.duplication = self.answer_delay = 0.0
-        self.mute, self.tpdos_to_lose, self.tpdo_lost_at = False, 0, 0.0
+        self.mute, self.tpdos_to_lose = False, 0
         self.bitrate, self.room, self.stuck, self.echoes = bitrate, None, False, True
         self.log: list[Frame] | None = None
         self._agenda, self._random = agenda, random
@@ -123,7 +122,6 @@ class BusModel:
             return
         if self.tpdos_to_lose and function in TPDOS:
             self.tpdos_to_lose -= 1
-            self.tpdo_lost_at = self._agenda.now
         elif self.answer_delay and function == SDO_ANSWER:
             self._agenda.after(self._random.uniform(0.0, self.answer_delay), lambda: self.from_other(frame))
         else:

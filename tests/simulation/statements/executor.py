@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.simulation.statements import objects, pins, programs, running, told
+from tests.simulation.statements import containers, objects, pins, programs, running, told
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.statement import Statement
 
@@ -34,7 +34,7 @@ EVERY: tuple[type[Statement], ...] = (
     running.NothingBeginsBesideAnOpenDoor,
     running.AnEndInOrderLeavesTheArmAtRest,
     running.NoDefect,
-    running.ContainersReturnToTheirSize,
+    containers.ContainersReturnToTheirSize,
 )
 
 

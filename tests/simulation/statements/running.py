@@ -9,13 +9,11 @@ from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.executor.process import LOOP_FAILS
 from tests.simulation.facts import Switch
 from tests.simulation.judge.arm import mask_of
-from tests.simulation.judge.memory import sizes
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.statement import Statement
 
 LOOK_EVERY = 0.005  # [s] between two looks at the buses
 DIAGNOSED = 1.3  # [s] between two diagnostics
-ROOM = 25  # elements of all containers beyond those of an arm at its first rest
 
 
 class HeartbeatsDoNotPause(Statement):
@@ -118,22 +116,3 @@ class NoDefect(Statement):
     def logs(self, level: int, text: str) -> None:
         defect = text.startswith("internal error") and LOOP_FAILS not in text
         self.require(not defect, text)
-
-
-class ContainersReturnToTheirSize(Statement):
-    """At rest the containers of the executor's core have the size of its first rest, up to results that are owed."""
-
-    number = 12
-
-    def __init__(self, account: Account) -> None:
-        super().__init__(account)
-        self._instance, self._first = 0, dict[str, int]()
-
-    def rests(self) -> None:
-        account, now = self.account, sizes(self.account.world.executor.core)
-        if account.instance != self._instance:
-            self._instance, self._first = account.instance, now
-        total, first = sum(now.values()), sum(self._first.values())
-        grown = {path: size for path, size in now.items() if size > self._first.get(path, 0) + 4}
-        room = ROOM + len(account.owed)
-        self.require(total <= first + room, f"the containers have grown from {first} to {total}: {grown}")

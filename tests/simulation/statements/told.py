@@ -91,15 +91,19 @@ class CountsAreTheSwitches(Statement):
     def __init__(self, account: Account) -> None:
         super().__init__(account)
         self._before: list[int] = []
+        self._switched = False  # since the last comparison
 
     def says(self, message: Up) -> None:
         if isinstance(message, Counted | Diagnostics | Welcome):
             self._compare(message.counts, "told")
 
+    def switches(self, switch: Switch) -> None:
+        self._switched = True
+
     def steps(self) -> None:
         counts = self.account.world.executor.journal.counts
-        if counts != self._before or self.account.world.record.step.switches:
-            self._before = list(counts)
+        if self._switched or counts != self._before:
+            self._before, self._switched = list(counts), False
             self._compare(counts, "the journal has")
 
     def _compare(self, counts: Sequence[int], whose: str) -> None:

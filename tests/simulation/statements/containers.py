@@ -1,4 +1,4 @@
-"""Memory: no container of the executor's core grows without a bound, whatever its clients do."""
+"""The statement on containers: none grows without a bound, whatever the clients do."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from collections.abc import Iterable, Mapping
 from enum import Enum
 from typing import Any
 
-from tests.simulation.judge.verdict import require
+from tests.simulation.statements.account import Account
+from tests.simulation.statements.statement import Statement
 
 CONTAINERS = (dict, list, set, deque)
+ROOM = 25  # elements of all containers beyond those of an arm at its first rest
 PLAIN = (int, float, str, bytes, bool, type(None), Enum, type, tuple, frozenset)
-ROOM = 25  # elements of all containers beyond those of an arm at rest at its first calm
 
 
 def sizes(root: object) -> dict[str, int]:
@@ -42,22 +43,20 @@ def _parts(thing: object) -> Iterable[tuple[str, Any]]:
     return () if fields is None else ((f".{name}", value) for name, value in list(fields.items()))
 
 
-class Memory:
-    """Compares the containers of one process at rest with those at its first rest."""
+class ContainersReturnToTheirSize(Statement):
+    """At rest the containers of the executor's core have the size of its first rest, up to results that are owed."""
 
-    def __init__(self) -> None:
+    number = 12
+
+    def __init__(self, account: Account) -> None:
+        super().__init__(account)
         self._instance, self._first = 0, dict[str, int]()
 
-    def judge(self, instance: int, core: object, owed: int) -> None:
-        """Judges the containers of a process at rest.
-
-        Args:
-            core: walked, and nothing else is asked of it.
-            owed: number of results that the planner has not acknowledged.
-        """
-        now = sizes(core)
-        if instance != self._instance:
-            self._instance, self._first = instance, now
+    def rests(self) -> None:
+        account, now = self.account, sizes(self.account.world.executor.core)
+        if account.instance != self._instance:
+            self._instance, self._first = account.instance, now
         total, first = sum(now.values()), sum(self._first.values())
         grown = {path: size for path, size in now.items() if size > self._first.get(path, 0) + 4}
-        require(total <= first + ROOM + owed, f"the containers have grown from {first} to {total} elements: {grown}")
+        room = ROOM + len(account.owed)
+        self.require(total <= first + room, f"the containers have grown from {first} to {total}: {grown}")
