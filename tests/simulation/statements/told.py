@@ -37,7 +37,8 @@ class SnapshotsAreTrue(Statement):
         if not isinstance(message, Snapshot) or message.mode not in ("ready", "executing") or not account.clear:
             return
         measured, known, arm = unpack(message.measured), unpack(message.known), account.arm
-        known &= (~account.locked & ~account.missed) | arm.sensed
+        locked = account.locked | unpack(message.locked)
+        known &= ~(locked | account.missed) | arm.sensed
         ever, always = 0, -1
         for pins in account.since(account.now - LATE):
             read = arm.measured(pins.extended, pins.contracted, pins.states)
@@ -47,7 +48,7 @@ class SnapshotsAreTrue(Statement):
         driven, ever, always = unpack(message.outputs), 0, -1
         for pins in account.since(account.now - LATE):
             ever, always = ever | pins.states, always & pins.states
-        unsure = account.homing | unpack(message.homing) | account.locked | account.missed
+        unsure = account.homing | unpack(message.homing) | locked | account.missed
         wrong = (driven & ~ever | ~driven & always) & ~unsure
         self.require(not wrong, lambda: f"the outputs {driven:b} are told, {wrong:b} is wrong")
         travels = self._travelling(account.now)
