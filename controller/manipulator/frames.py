@@ -16,17 +16,18 @@ def planar(x: float, y: float, angle: float = 0.0) -> Frame:
 
 
 def spatial(position: ArrayLike, quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0)) -> Frame:
-    """Returns the 4x4 frame at `position` (3,), turned by the quaternion (x, y, z, w). The function normalises it."""
+    """Returns frames (..., 4, 4) at positions (..., 3), turned by quaternions (..., 4): x, y, z, w of any length."""
     q = np.asarray(quaternion, dtype=float)
-    x, y, z, w = q / np.linalg.norm(q)
-    frame = np.eye(4)
-    frame[:3, :3] = [
+    x, y, z, w = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
-    frame[:3, 3] = position
-    return frame
+    frames = np.zeros((*q.shape[:-1], 4, 4))
+    frames[..., :3, :3] = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    frames[..., :3, 3], frames[..., 3, 3] = position, 1.0
+    return frames
 
 
 def turned(axis: ArrayLike, angle: float) -> Frame:

@@ -77,22 +77,23 @@ def blended(module: Module, displacements: Array) -> tuple[Frame, Array]:
     """Returns frames and bodies in mid-travel: positions are multilinear, rotations are nested slerps."""
     parts = shares(module.bits, displacements)
     frames = np.full((len(displacements), 4, 4), np.nan)
-    for n in np.flatnonzero(np.isfinite(parts).all(axis=1)):
-        free = np.flatnonzero((displacements[n] > 0) & (displacements[n] < 1))
-        corners = np.tile(displacements[n], (1 << len(free), 1))
-        corners[:, free] = binary_code(1 << len(free))[:, : len(free)]
-        states = (module.bits == corners[:, None]).all(axis=2).argmax(axis=1)
-        turns = np.array([quaternion(frame) for frame in module.frames[states]])
-        for displacement in displacements[n, free]:
-            first, second = np.split(turns, 2)
-            turns = midway(first, second, displacement)
-        frames[n] = spatial(parts[n] @ module.frames[:, :3, 3], turns[0])
+    quaternions = np.array([quaternion(frame) for frame in module.frames])
+    known, travelling = np.isfinite(parts).all(axis=1), (displacements > 0) & (displacements < 1)
+    for moving in np.unique(travelling[known], axis=0):
+        rows, free = np.flatnonzero(known & (travelling == moving).all(axis=1)), np.flatnonzero(moving)
+        corners = np.repeat(displacements[rows, None], 1 << len(free), axis=1)
+        corners[:, :, free] = binary_code(1 << len(free))[:, : len(free)]
+        turns = quaternions[(module.bits == corners[:, :, None]).all(axis=3).argmax(axis=2)]
+        for a in free:
+            first, second = np.split(turns, 2, axis=1)
+            turns = midway(first, second, displacements[rows, None, None, a])
+        frames[rows] = spatial(parts[rows] @ module.frames[:, :3, 3], turns[:, 0])
     return frames, np.tensordot(parts, module.body, 1)
 
 
-def midway(first: Array, second: Array, share: float) -> Array:
-    """Returns the unit quaternions (n, 4) at a share of the shortest way from first to second (slerp)."""
-    cosines = np.clip((first * second).sum(axis=1, keepdims=True), -1.0, 1.0)
+def midway(first: Array, second: Array, share: Array) -> Array:
+    """Returns the unit quaternions (..., 4) at shares (..., 1) of the shortest way from first to second (slerp)."""
+    cosines = np.clip((first * second).sum(axis=-1, keepdims=True), -1.0, 1.0)
     angles, signs = np.arccos(abs(cosines)), np.where(cosines < 0, -1.0, 1.0)
     near, sines = angles < 1e-6, np.maximum(np.sin(angles), 1e-9)
     weights = np.where(near, 1.0 - share, np.sin((1.0 - share) * angles) / sines)

@@ -46,7 +46,7 @@ class Ledger:
     A file that was deleted or moved is begun anew within a second.
 
     In the ledger's thread, `recorded` takes the number of each record after it was written or failed, and `fatal` takes
-    a message when the thread dies.
+    a message when the thread dies. Unless `threaded`, there is no thread: who owns the ledger calls `write_waiting`.
 
     Raises:
         FileInUse: another process writes this ledger.
@@ -59,6 +59,9 @@ class Ledger:
         recorded: Callable[[int], None] = lambda _: None,
         fatal: Callable[[str], None] = lambda _: None,
         write_every: float = WRITE_EVERY,  # [s] between two transactions without a record
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        threaded: bool = True,
     ) -> None:
         self._path, self._lock = path, locked(path)
         self.fault: str | None = None  # why the file cannot be written now
@@ -66,11 +69,14 @@ class Ledger:
         counts = counted(path)
         self.known = tuple(counts.get(label, 0) for label in actuators)  # number of switches of each actuator so far
         self.owed = owed(path)  # goals that had no result when the ledger was opened
-        self._recorded, self._fatal, self._write_every = recorded, fatal, write_every
+        self._recorded, self._fatal, self._write_every, self._clock = recorded, fatal, write_every, clock
+        self._unwritten: deque[Record] = deque(maxlen=2 * MOST_GOALS)
+        self._due = 0.0  # of the next transaction; the first one opens the file, and detects damage
         self.file = LedgerFile(path, actuators, self.owed)
         self._queue: SimpleQueue[Record | None] = SimpleQueue()  # None: the end
         self._thread = threading.Thread(target=self._run, name="ledger", daemon=True)
-        self._thread.start()
+        if threaded:
+            self._thread.start()
 
     def record(self, record: Record) -> None:
         """Queues a goal, its result, or both; later `recorded` is called with the record's number."""
@@ -89,35 +95,41 @@ class Ledger:
 
     def close(self, timeout: float = 5.0) -> None:
         self._queue.put(None)
-        self._thread.join(timeout)
+        if self._thread.ident is not None:
+            self._thread.join(timeout)
+        self.unlock()
+
+    def unlock(self) -> None:
+        """Lets another process write the ledger."""
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
 
     def _run(self) -> None:
-        unwritten: deque[Record] = deque(maxlen=2 * MOST_GOALS)
-        due, closing = 0.0, False  # of the next transaction; the first one opens the file, and detects damage
         try:
-            while not closing:
-                waiting = list[Record | None]()
-                with suppress(Empty):
-                    left = min(due - time.monotonic(), LOOK_EVERY)
-                    waiting.append(self._queue.get(timeout=max(left, 0.0)))
-                    waiting += [self._queue.get() for _ in range(self._queue.qsize())]
-                closing, records = None in waiting, [record for record in waiting if record is not None]
-                unwritten.extend(records)
-                if not waiting and time.monotonic() < due and not self.file.is_gone():
-                    continue
-                if self._write(unwritten):
-                    unwritten.clear()
-                for record in records:
-                    self._recorded(record.entry)
-                due = time.monotonic() + self._write_every
+            while self.write_waiting(min(self._due - self._clock(), LOOK_EVERY)):
+                pass
         except Exception as error:
             log.exception("the ledger's thread ended")
             self._fatal(f"the ledger's thread ended: {error!r}")
         finally:
             self.file.close()
+
+    def write_waiting(self, longest: float = 0.0) -> bool:
+        """Waits up to `longest` [s] for a record, and writes what is due; returns False at the end."""
+        waiting = list[Record | None]()
+        with suppress(Empty):
+            waiting.append(self._queue.get(timeout=max(longest, 0.0)))
+            waiting += [self._queue.get() for _ in range(self._queue.qsize())]
+        records = [record for record in waiting if record is not None]
+        self._unwritten.extend(records)
+        if waiting or self._clock() >= self._due or self.file.is_gone():
+            if self._write(self._unwritten):
+                self._unwritten.clear()
+            for record in records:
+                self._recorded(record.entry)
+            self._due = self._clock() + self._write_every
+        return None not in waiting
 
     def _write(self, records: Sequence[Record]) -> bool:
         for _ in range(2):  # the second time into a new file, if the old one is damaged

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from hyperbit.controller.search.clock import EFFORT, WALL, Clock, WorkClock
+from hyperbit.controller.search.clock import EFFORT, Clock, WorkClock
 
 TIMEOUT = 0.05  # [s] for one search
 UNFOUND = 1.0  # [s] for a goal that is not reached in the first time, without a deadline or if others wait
@@ -25,8 +25,8 @@ class SearchTime(NamedTuple):
     most: float = math.inf  # the deadline
     by_work: bool = False  # whether all times are work, see WorkClock
 
-    def clock(self) -> Clock:
-        return WorkClock() if self.by_work else WALL
+    def clock(self, wall: Clock) -> Clock:
+        return WorkClock() if self.by_work else wall
 
     def allowed(self, gap: float) -> float:
         """Returns the time of a search [s] for the number of switches that may still be saved.

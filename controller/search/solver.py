@@ -14,7 +14,7 @@ from hyperbit.controller.manipulator.frames import inverse
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.obstacles.scene import scene_of
-from hyperbit.controller.search.clock import EFFORT, START, WALL
+from hyperbit.controller.search.clock import EFFORT, START, WALL, Clock
 from hyperbit.controller.search.descent.paths import Paths
 from hyperbit.controller.search.enumeration import Enumeration
 from hyperbit.controller.search.lists.two_list import ListSizes, TwoList
@@ -43,6 +43,7 @@ class Solver:
         least_weight, mean_weight: the least of them, and their mean.
         whole_weights: whether all weights are multiples of the least.
         clearance: obstacles of this arm; None if it has nothing to avoid.
+        clock: of searches and plans, unless they are limited by work.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class Solver:
         arm with few are tried. `list_sizes` are those of minimum-switch searches.
         """
         self.manipulator, self._list_whole, self._list_sizes = manipulator, list_whole, list_sizes
+        self.clock: Clock = WALL
         self.clearance, self.scene = clearance, scene_of(manipulator, clearance)
         self.densities = densities
         own = np.ones(len(manipulator.actuators)) if weights is None else np.asarray(weights, dtype=float)
@@ -158,10 +160,10 @@ class Solver:
             timeout: time or work of a minimum-switch search. A number is its first time [s], see `search_time`.
             hurried: see Incumbent.
         """
-        started, weight = WALL.now(), self.mean_weight
+        started, weight = self.clock.now(), self.mean_weight
         seed = np.asarray(previous, dtype=np.int64)
         allowed = timeout if isinstance(timeout, SearchTime) else search_time(timeout)
-        clock = allowed.clock()
+        clock = allowed.clock(self.clock)
         began = clock.now()
         clock.charge(START)
 
@@ -183,7 +185,8 @@ class Solver:
                 self.minimum.repair(target, incumbent)
                 best = incumbent.configuration
             incumbent = Incumbent(best, incumbent.until)
-        seconds, effort = WALL.now() - started, round((clock.now() - began) / EFFORT, 3) if allowed.by_work else None
+        seconds = self.clock.now() - started
+        effort = round((clock.now() - began) / EFFORT, 3) if allowed.by_work else None
         found = self.described(incumbent.configuration, target, seed)
         bound = min(incumbent.bound, found.cost) if found.within_tolerance else incumbent.bound
         return replace(found, seconds=seconds, bound=bound, effort=effort)

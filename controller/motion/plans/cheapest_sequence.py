@@ -1,6 +1,5 @@
 """The cheapest sequence of an arm that is listed whole: dynamic programming over all its configurations."""
 
-import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -22,7 +21,7 @@ def cheapest_of_all(
 
     Returns None if the arm has too many configurations for a time [s], or if `stop` returns true.
     """
-    every, until = solver.enumeration, time.perf_counter() + seconds
+    every, until = solver.enumeration, solver.clock.now() + seconds
     if every is None or TRIED * every.changes * len(points) > seconds:
         return None
     rows, layers = every.configurations, list[tuple[Integers, Array]]()
@@ -30,7 +29,7 @@ def cheapest_of_all(
     costs[every.index(start)] = 0.0
     clear = np.full(len(rows), 1 if solver.clearance is None else -1)  # -1: not known yet
     for point in points:
-        if time.perf_counter() > until or stop():
+        if solver.clock.now() > until or stop():
             return None
         every.spread(solver.chain.costs, costs)
         fixed = point.configuration

@@ -7,7 +7,6 @@ point k + 1 to k lists all configurations with exit k near those that serve k + 
 """
 
 import math
-import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -114,10 +113,11 @@ class CostToGo:
         self.used, self.labels.begins[:], self.labels.ends[:] = 0, 0, 0
         near = self.chain.costs[np.arange(len(self.chain.states)), states_of(self.chain, start)[0]]
         self.near, self._lists = np.ascontiguousarray(near), {}
-        threads, work, began = len(self.neighbours), seconds * len(self.neighbours), time.perf_counter()
+        clock, threads = self._solver.clock, len(self.neighbours)
+        work, began = seconds * threads, clock.now()
         spent, limit, deepest = 0.0, 0.0, DEEPEST_STEP
         for k in range(count - 2, -1, -1):
-            taken = time.perf_counter() - began
+            taken = clock.now() - began
             speed = min(spent / (threads * taken), 1.0) if spent > LEAST_SPENT else 0.7
             work = min(work, (seconds - taken) * threads * speed)
             if (count - 2 - k) % max(count // LIMITS, 1) == 0:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -62,14 +61,16 @@ class Improvement:
 
     def _first(self, seconds: float) -> int:
         """Returns the first point that is not due when some time [s] has passed."""
-        soon = time.monotonic() + MARGIN + seconds - self._start
+        soon = self._planner.solver.clock.now() + MARGIN + seconds - self._start
         return int(np.searchsorted(self._earliest, soon))
 
     def _search(self, first: int, end: int, width: int) -> Iterator[TrajectoryPlan]:
         """Yields the plan with better configurations from point `first` up to `end`, if layers of a width find any."""
         if first >= end:
             return
-        began, planner, solutions = time.perf_counter(), self._planner, self._plan.solutions
+        planner, solutions = self._planner, self._plan.solutions
+        clock = planner.solver.clock
+        began = clock.now()
         points = [planner.points[k] for k in range(first, end)]
         rows = np.array([solution.configuration for solution in solutions[first : end + 1]])
         if end < len(solutions):  # the section ends in the plan's next configuration
@@ -81,15 +82,15 @@ class Improvement:
         search.offer(rows, float(planner.solver.cost(rows, np.vstack([before, rows[:-1]])).sum()))
         if not search.try_all(PRICE * width * len(points)):
             search.narrow(width)
-        self._price = (time.perf_counter() - began) / (width * len(points))
+        self._price = (clock.now() - began) / (width * len(points))
         if (found := search.best.configurations) is None:
             return
         changed = np.flatnonzero((found != rows).any(axis=1)).tolist()
         for k in range(changed[0], changed[-1] + 1, self._batch) if changed else ():
-            began = time.perf_counter()
+            began = clock.now()
             some = list(found[k : min(k + self._batch, changed[-1] + 1)])
             self._plan = self._plan.improved(planner, first + k, some)
-            self._staging = max(self._staging, time.perf_counter() - began)
+            self._staging = max(self._staging, clock.now() - began)
             yield self._plan
 
 

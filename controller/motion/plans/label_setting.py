@@ -7,7 +7,6 @@ gives a plan. Complete layers contain every configuration that a sequence within
 optimum, or prove that each sequence costs more.
 """
 
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -100,7 +99,7 @@ class LabelSetting:
 
     def run(self, seconds: float) -> BestSequence:
         """Searches for a time [s]; returns the best sequence and its bound."""
-        began, sweep = time.perf_counter(), SWEEP * seconds >= LEAST_SWEEP
+        began, sweep = self._solver.clock.now(), SWEEP * seconds >= LEAST_SWEEP
         if self.try_all(seconds):
             return self.best
         with suppress(MemoryError):  # what is proven stays
@@ -112,7 +111,7 @@ class LabelSetting:
                 self.prove()
                 self._until = began + (BEAM + PROOF + SWEEP) * seconds
                 if not self.optimal:
-                    left = self._until - time.perf_counter()
+                    left = self._until - self._solver.clock.now()
                     self.to_go.sweep(self._start, self.best.cost, left, self._late)
                 self._widen(began + (BEAM + PROOF + SWEEP + GUIDED) * seconds)
             self._until = began + seconds
@@ -132,23 +131,23 @@ class LabelSetting:
         """Searches sequences through wider and wider layers."""
         taken, self._until = 0.0, until
         for width in WIDTHS:
-            now = time.perf_counter()
+            now = self._solver.clock.now()
             if self.optimal or now + GROWTH * taken > self._until or width * len(self._points) > self._most:
                 break
             if self.narrow(width) < width:
                 break
-            taken = time.perf_counter() - now
+            taken = self._solver.clock.now() - now
 
     def prove(self) -> None:
         """Raises the lower bound until it meets the best cost or the time is over."""
         taken = 0.0
         self._raise(self.first_bound())
         while not self.optimal and not self._late():
-            began = time.perf_counter()
+            began = self._solver.clock.now()
             ceiling = self.best.bound + (0.0 if self._solver.whole_weights else self._solver.least_weight)
             if began + GROWTH * taken > self._until or not self._complete(min(ceiling, self.best.cost)):
                 return
-            taken = time.perf_counter() - began
+            taken = self._solver.clock.now() - began
 
     def _first_layer(self) -> Layer:
         """Returns the start as a layer before the first point; its exit is negative if it does not serve that."""
@@ -163,7 +162,7 @@ class LabelSetting:
         return float(self.to_go.least[: self.to_go.labels.last[0] + 1].min()) + step
 
     def _late(self) -> bool:
-        return time.perf_counter() > self._until or self._stop()
+        return self._solver.clock.now() > self._until or self._stop()
 
     def narrow(self, width: int) -> int:
         """Searches a sequence through layers of the cheapest configurations; returns the width of the widest layer."""

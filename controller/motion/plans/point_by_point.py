@@ -1,6 +1,5 @@
 """Plans of trajectories, point by point: each configuration is searched from the one before."""
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -58,7 +57,7 @@ class PointByPoint:
         """
         if self._solver.clearance is not None and (where := self._solver.clearance.where(previous)) is not None:
             raise Refusal(Reason.ARM_IN_OBSTACLE, collision=where)
-        self._began, self._proceed = time.perf_counter(), proceed
+        self._began, self._proceed = self._solver.clock.now(), proceed
         planned = list[PlannedTransition]()
         for point in self._planner.points:
             proceed()
@@ -109,18 +108,19 @@ class PointByPoint:
         self, point: TrajectoryPoint, previous: Configuration, cheapest: Solution, blocked: Blocked
     ) -> PlannedTransition:
         """Returns the transition to another configuration, or a detour, because that to the cheapest is blocked."""
-        until = WayTime(self._began, time.perf_counter() + WAY_TIME, self._allowed, self._proceed)
+        clock = self._solver.clock
+        until = WayTime(self._began, clock.now() + WAY_TIME, self._allowed, self._proceed, clock)
         return WaysAround(self._planner, point, previous, cheapest, self._threads).find(blocked, until)
 
     def _time(self, point: TrajectoryPoint, first: float) -> SearchTime:
         """Returns the time of one search, whose first time is `first` [s]."""
         allowed = self._allowed
-        left = max(self._began + allowed.most - time.perf_counter(), 0.0)
+        left = max(self._began + allowed.most - self._solver.clock.now(), 0.0)
         return SearchTime(first, allowed.per_switch if point.index == 0 else 0.0, allowed.unfound, left)
 
     def _remaining(self) -> float:
         """Returns what is left of the first time of all searches [s]."""
-        return max(self._began + self._seconds - time.perf_counter(), 0.0)
+        return max(self._began + self._seconds - self._solver.clock.now(), 0.0)
 
     def _with_deviation(self) -> bool:
         """Returns whether there is time to compute the deviation of a transition."""

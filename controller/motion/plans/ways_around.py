@@ -1,6 +1,5 @@
 """Ways around obstacles: transitions to a point whose cheapest configuration cannot be reached by clear stages."""
 
-import time
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -14,6 +13,7 @@ from hyperbit.controller.motion.stages.pacing import Blocked
 from hyperbit.controller.obstacles.distance import Index
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.clock import WALL, Clock
 from hyperbit.controller.search.search_time import SearchTime
 from hyperbit.controller.search.solution import EPSILON, Solution
 
@@ -24,14 +24,15 @@ TRY = 0.1  # [s] for one configuration, if no actuator may switch twice
 class WayTime(NamedTuple):
     """When the search for a way ends."""
 
-    began: float  # when the planning has begun, by time.perf_counter [s]
+    began: float  # when the planning has begun, by the solver's clock [s]
     least: float  # until then at least
     allowed: SearchTime  # time from `began`
     proceed: Callable[[], bool]  # called between parts of the search; returns whether it must end soon
+    clock: Clock = WALL
 
     def over(self, gap: float = np.inf) -> bool:
         """Returns whether the time is over, from the number of switches that may still be saved."""
-        hurried, now = self.proceed(), time.perf_counter()
+        hurried, now = self.proceed(), self.clock.now()
         if gap < np.inf:
             return hurried or now > self.began + self.allowed.allowed(gap)
         return now > max(self.least, self.began + self.allowed.allowed(np.inf)) or (hurried and now > self.least)
@@ -75,10 +76,10 @@ class WaysAround:
     def _once(self, ends: Index, until: WayTime, refusal: Refusal) -> PlannedTransition:
         """Returns the first transition in which no actuator switches twice, because actuators must rest."""
         for end in ends:
-            tried = time.perf_counter() + TRY
+            tried = until.clock.now() + TRY
 
             def late(tried: float = tried) -> bool:
-                return until.over() or time.perf_counter() > tried
+                return until.over() or until.clock.now() > tried
 
             found = self._detours(end[None], complete=False, once=True).search(late)
             if isinstance(found, Detour) and (planned := self._by(found)) is not None:
@@ -111,7 +112,7 @@ class WaysAround:
     def _detours(self, ends: Index, *, complete: bool, once: bool = False) -> Detours:
         assert self._solver.clearance is not None
         parts = self._solver.clearance, self._previous, ends
-        return Detours(*parts, complete=complete, once=once, threads=self._threads)
+        return Detours(*parts, complete=complete, once=once, threads=self._threads, clock=self._solver.clock)
 
     def _reached(self, detours: Detours, found: NoWay, blocked: Blocked) -> PlannedTransition:
         """Returns the transition to the cheapest configuration among all that can be reached."""

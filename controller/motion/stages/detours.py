@@ -13,7 +13,6 @@ Sweep alone decides whether a switch is clear. The kernels find most clear and m
 checks the others before a flood ends.
 """
 
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
@@ -37,6 +36,7 @@ from hyperbit.controller.motion.stages.walks import ROOM, extend, flood, grow, n
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.obstacles.distance import Index
 from hyperbit.controller.obstacles.sweep import Sweep
+from hyperbit.controller.search.clock import WALL, Clock
 
 Late = Callable[[], bool]  # returns whether the time of a search is over; what it raises ends the planning
 
@@ -89,7 +89,9 @@ class Graph:
         *,
         once: bool = False,
         both: bool = True,
+        clock: Clock = WALL,
     ) -> None:
+        self._clock = clock
         self._clearance, self._roots, self._modules, self._both = clearance, (start[None], ends), modules, both
         self._flooding, self._growing = walk_of(clearance, modules, once), walk_of(clearance, modules)
         self.start, self._ends = (self._tree(roots, FLOODED) for roots in self._roots)
@@ -132,8 +134,8 @@ class Graph:
 
         Returns the configurations of both trees where they meet, -1 if they do not.
         """
-        walk, until = self._flooding, time.perf_counter() + SWEEPS
-        while time.perf_counter() < until and (actuator := next_undecided(walk, tree)) >= 0:
+        walk, until = self._flooding, self._clock.now() + SWEEPS
+        while self._clock.now() < until and (actuator := next_undecided(walk, tree)) >= 0:
             number = int(tree.counts[2])
             states = unpacked(tree.bits[number], len(walk.order))
             if self._sweep.first_collision(states, np.array([actuator])) is None:
@@ -177,6 +179,7 @@ class Detours:
         complete: there are no other ends, so that it is a proof if none of them can be reached.
         once: no actuator may switch twice; only with one end.
         threads: that search at the same time.
+        clock: limits the checks between two looks at the time.
     """
 
     def __init__(
@@ -188,11 +191,12 @@ class Detours:
         complete: bool = True,
         once: bool = False,
         threads: int = 1,
+        clock: Clock = WALL,
     ) -> None:
         self._clearance, self._arm, self._start, self._ends = clearance, clearance.manipulator, start, ends
         self._once, self._threads, self._seed = once, threads, 0
         self._walk = walk_of(clearance, len(start))
-        self._whole = Graph(clearance, start, ends, len(start), once=once, both=complete and not once)
+        self._whole = Graph(clearance, start, ends, len(start), once=once, both=complete and not once, clock=clock)
         self._proofs = [self._whole.flooded()]
         if complete and not once:
             self._proofs.append(lowest(clearance, start, ends))

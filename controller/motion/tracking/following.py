@@ -1,6 +1,5 @@
 """Followed set-points: the search for the configuration, and the stages to it."""
 
-import time
 from typing import NamedTuple
 
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
@@ -50,7 +49,7 @@ def stages_to(query: SetpointQuery, end: Configuration, whole: Manipulator, pace
     if keep_out.free:
         most = pace.inrush or len(commanded)
         return restage(whole, commanded, reduced.actuator_states(end)[None], most)
-    deadline, obstruction = time.perf_counter() + ALTERNATIVE_TIME, None
+    deadline, obstruction = solver.clock.now() + ALTERNATIVE_TIME, None
     stager = Stager(reduced, pace, sweep_for(solver))
     for configuration in (end, *solver.candidates(target, start, ALTERNATIVES)[0]):
         try:
@@ -60,6 +59,6 @@ def stages_to(query: SetpointQuery, end: Configuration, whole: Manipulator, pace
             obstruction = obstruction or Blocked(collision)
         except Blocked as blocked:
             obstruction = obstruction or blocked
-        if time.perf_counter() > deadline:
+        if solver.clock.now() > deadline:
             break
     raise obstruction or Blocked("no collision-free transition was found")

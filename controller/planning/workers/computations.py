@@ -1,6 +1,5 @@
 """Computations of the workers: each answer is a function of its task. For searches and stages see controller/motion."""
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from itertools import chain, islice
@@ -43,6 +42,7 @@ MOST_THREADS = 2  # of one plan: one searches a way around obstacles, one a proo
 # Called between two parts of a task. Returns whether the task must end soon. Raises Abandoned if the task is no longer
 # needed, Refusal if its time is over.
 Proceed = Callable[[], bool]
+MakeSolver = Callable[[Manipulator, Densities, NDArray[np.float64]], Solver]
 
 
 class Abandoned(Exception):
@@ -103,11 +103,13 @@ class ArmModel:
             raise Refusal(Reason.LOCKS_CHANGING) from None
 
 
-def build_tables(arm: Arm, densities: Densities, weights: NDArray[np.float64], task: tasks.BuildTables) -> tasks.Tables:
+def build_tables(
+    arm: Arm, densities: Densities, weights: NDArray[np.float64], task: tasks.BuildTables, make: MakeSolver = Solver
+) -> tasks.Tables:
     """Returns the solvers for locked states.
 
     `densities` are of the arm reduced by the locked states of its file; others are mapped, which takes seconds.
-    `weights` are the costs of a switch of each actuator, shape (A,).
+    `weights` are the costs of a switch of each actuator, shape (A,). `make` makes a solver.
 
     Raises:
         ValueError: a module has no state with these locks.
@@ -117,7 +119,7 @@ def build_tables(arm: Arm, densities: Densities, weights: NDArray[np.float64], t
     if not np.array_equal(locked, arm.locked):
         reduced = lock_actuators(arm.manipulator, locked)
         densities = map_densities(reduced, arm.pixel, arm.level_pixels)
-    goals = Solver(reduced, densities, weights)
+    goals = make(reduced, densities, weights)
     goals.prepare()
     arm_switches(reduced)  # a goal among obstacles needs them at once
     solvers = {"goals": goals, "queries": goals.another(), "setpoints": goals.another()}  # all with the same tables
@@ -269,20 +271,21 @@ def describe(model: ArmModel, task: tasks.DescribePlan, proceed: Proceed, hurry:
 
     `hurry` returns whether the search over the whole trajectory must end early.
     """
-    began, message = time.monotonic(), task.goal.message
+    planner, message = planner_of(model, task.goal), task.goal.message
+    clock = planner.solver.clock
+    began = clock.now()
 
     def in_time() -> bool:
         proceed()
-        if time.monotonic() > began + task.seconds:
+        if clock.now() > began + task.seconds:
             raise Refusal(Reason.PLANNING_TOO_LONG, seconds=task.seconds)
         return hurry()
 
-    planner = planner_of(model, task.goal)
     reduced = planner.solver.manipulator
     found = search_plan(model, task.goal, planner, first_time(planner.trajectory), in_time)
     previous = model.configuration(task.goal.basis.start, reduced)
     if model.arm.settings.method == MINIMUM_SWITCH:
-        left = WHOLE_TIME if message.deadline is None else began + message.deadline - time.monotonic()
+        left = WHOLE_TIME if message.deadline is None else began + message.deadline - clock.now()
         found = look_ahead(planner, found, previous, left, hurry)
     fields = describe_plan(model.arm.manipulator, reduced, previous, found)
     return tasks.Described({**done(fields.pop("message")), **fields})
@@ -302,9 +305,9 @@ def follow(model: ArmModel, task: tasks.FollowSetpoint) -> tasks.Followed:
     # The arm may lag behind a moving set-point by the other half of the tolerance.
     target = solver.target(goal, task.tolerance / 2)
     query = SetpointQuery(solver, scene.keep_out, commanded, start, target)
-    began = time.perf_counter()
+    began = solver.clock.now()
     found = find(query, model.arm.settings.method)
-    seconds = time.perf_counter() - began
+    seconds = solver.clock.now() - began
     if found.error > task.tolerance:
         where = ", ".join(f"{x:.4f}" for x in (goal if task.bias is None else goal + task.bias))
         words = f", which {found.reach} at ({where}): {found.error:.4f} away, tolerance {task.tolerance:g}"

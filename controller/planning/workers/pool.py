@@ -27,8 +27,9 @@ from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.events import Answered, Event
 from hyperbit.controller.planning.core.tasks import Answer, DescribePlan, Task
 from hyperbit.controller.planning.workers import computations
-from hyperbit.controller.planning.workers.computations import Abandoned, ArmModel, build_scene, build_tables
+from hyperbit.controller.planning.workers.computations import Abandoned, ArmModel, MakeSolver, build_scene, build_tables
 from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.cache import default_directory, load_or_map
 from hyperbit.controller.workspace.densities import Densities
 
@@ -70,7 +71,8 @@ class Workers:
 
     Plans that may take long go to `planning.workers` processes, if there are any.
     Each task is answered by `Answered`; its last answer is marked. `post` takes the answers, in the workers' threads.
-    `fatal` takes the reason after an unexpected end of a thread: the process must end.
+    `fatal` takes the reason after an unexpected end of a thread: the process must end. `make` makes solvers. Unless
+    `threaded`, there are no threads: who has started a task calls `carry_out`.
     """
 
     def __init__(
@@ -80,8 +82,12 @@ class Workers:
         weights: NDArray[np.float64],
         post: Callable[[Event], None],
         fatal: Callable[[str], None],
+        make: MakeSolver = Solver,
+        *,
+        threaded: bool = True,
     ) -> None:
-        self._arm, self._densities, self._weights, self._post, self._fatal = arm, densities, weights, post, fatal
+        self._arm, self._densities, self._weights, self._make = arm, densities, weights, make
+        self._post, self._fatal = post, fatal
         self._for_goals, self._for_queries = ArmModel(arm, "goals"), ArmModel(arm, "queries")
         self._for_setpoints = ArmModel(arm, "setpoints")
         self._queued: dict[int, QueuedTask] = {}  # unanswered tasks; a worker removes its own
@@ -89,7 +95,9 @@ class Workers:
         self._processes = [LongPlanner(arm, weights) for _ in range(arm.settings.planning.workers)]
         carriers = [*((name, None) for name in THREADS), *((LONG_PLANS, process) for process in self._processes)]
         self.threads = [
-            threading.Thread(target=self._run, args=carrier, name=carrier[0], daemon=True) for carrier in carriers
+            threading.Thread(target=self._run, args=carrier, name=carrier[0], daemon=True)
+            for carrier in carriers
+            if threaded
         ]
         for thread in self.threads:
             thread.start()
@@ -126,13 +134,20 @@ class Workers:
 
     def _run(self, name: str, process: LongPlanner | None) -> None:
         try:
-            while (queued := self._queues[name].get()) is not None:
-                last = self._answer(queued, process)
-                self._queued.pop(queued.number, None)
-                self._post(Answered(queued.number, last, True))
+            while self.carry_out(name, process):
+                pass
         except BaseException as error:  # also SystemExit, which would end a thread silently
             log.critical("the thread for %s has ended", name, exc_info=True)
             self._fatal(f"the planner's thread for {name} has ended: {error!r}")
+
+    def carry_out(self, name: str, process: LongPlanner | None = None) -> bool:
+        """Waits for the next task of a thread, and posts its answers; returns False if there are no more tasks."""
+        if (queued := self._queues[name].get()) is None:
+            return False
+        last = self._answer(queued, process)
+        self._queued.pop(queued.number, None)
+        self._post(Answered(queued.number, last, True))
+        return True
 
     def _answer(self, queued: QueuedTask, process: LongPlanner | None) -> Answer:
         """Posts all answers to a task but the last one, which it returns. Never raises an Exception."""
@@ -178,7 +193,7 @@ class Workers:
             case tasks.BuildScene():
                 return build_scene(self._arm, task)
             case tasks.BuildTables():
-                return build_tables(self._arm, self._densities, self._weights, task)
+                return build_tables(self._arm, self._densities, self._weights, task, self._make)
 
 
 # --- plans in a process of their own
