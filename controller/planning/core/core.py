@@ -81,7 +81,7 @@ class Core:
         self._moment.now, self._moment.wall = now, wall
         self._handle(event)
         self._obstacles.check_standing()
-        self._programs.check()
+        self._programs.check_parked()
         self._requests.advance()
         self._goals.advance()
         self._queries.advance()
@@ -104,6 +104,17 @@ class Core:
         self._act(events.Wake(due))
         actions, self._actions = self._actions, []
         return actions
+
+    def check(self) -> None:
+        """Asserts what holds between two steps; for the simulation, not for the robot."""
+        assert not self._actions, "an action waits for the next step"
+        self._parts.check([*self._goals.awaited(), *self._programs.awaited(), *self._queries.awaited()])
+        self._goals.check()
+        self._programs.check()
+        self._results.check()
+        self._queries.check()
+        self._requests.check()
+        self._obstacles.check(self._programs.unchecked())
 
     def _handle(self, event: events.Event) -> None:
         prepared = isinstance(event, events.Answered) and self._jobs.prepares(event.task)
@@ -184,7 +195,7 @@ class Core:
             case program.Snapshot():
                 self.admission.snapshot(message.epoch)
                 self._locks.update(self._view.receive_snapshot(message))
-                self._results.check(message.program)
+                self._results.end_unsent(message.program)
             case program.Accepted():
                 self._goals.accepted(message)
             case program.Declined():

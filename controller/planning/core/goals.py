@@ -55,6 +55,27 @@ class Goals:
         """All waiting requests; the one being planned or offered comes first."""
         return [*filter(None, [self._current]), *self._waiting]
 
+    def awaited(self) -> list[int | None]:
+        return [*(goal.job for goal in self.all), self._preparation.task]
+
+    def check(self) -> None:
+        """Asserts that each request waits for something that will come in time; see `Core.check`."""
+        assert len(self._waiting) <= MOST_WAITING, f"{len(self._waiting)} requests wait"
+        assert self._current is not None or not self._waiting, "requests wait, and none is advanced"
+        for goal in self.all:
+            is_first = goal is self._current
+            assert goal.state == "waiting" or (is_first and goal.state == "offered"), f"{goal.id} is {goal.state}"
+            assert is_first or goal.job is None, f"{goal.id} is planned, and is not the first"
+            if goal.state == "waiting":
+                assert self._moment.now < goal.begin_by, f"{goal.id} waits too long"
+                assert self.due <= goal.begin_by, f"nothing wakes {goal.id}"
+                assert not self._parts.admission.barred(goal.ticket, goal.id), f"{goal.id} is barred, and waits"
+        first, offered = self._current, self._offered() is not None
+        assert self._programs.offered == offered, "an offer that nobody awaits"
+        if first is not None and not offered and first.ticket.epoch is not None:
+            waits = first.job is not None or first.waits is not None
+            assert waits or self._premises.basis() is None, f"{first.id} waits for nothing"
+
     def queue(self, request: Request) -> None:
         wanted, name = request.message, f"{self._parts.name}{request.number:x}"
         assert isinstance(wanted, GoalMessage | Jog)
@@ -273,6 +294,10 @@ class Preparation:
         self._prepared: tasks.Basis | None = None  # for which the next search is prepared
         self._last: GoalMessage | None = None
         self._idle_since, self._rehearse_until = 0.0, -math.inf  # [s]
+
+    @property
+    def task(self) -> int | None:
+        return self._job
 
     def end(self) -> None:
         self._parts.jobs.abandon(self._job)

@@ -67,6 +67,15 @@ class ObstacleOwner:
         self._jobs.start(task, partial(self._scene_answered, self.generation))
         return True
 
+    def check(self, unchecked: list[str]) -> None:
+        """Asserts that requests wait only for a scene or a check of this generation; see `Core.check`."""
+        generation = self._built.scene.generation
+        assert generation <= self.generation, f"scene {generation} is newer than its obstacles"
+        waits = self.scene is None or unchecked or self._standing_job is not None
+        assert waits or not self._changes, f"{self._changes} have no answer"
+        assert self.scene is None or self._built_of is self._sent, "the obstacles are not those of the scene"
+        assert self.scene is None or not self._questions, "a question of the executor waits for nothing"
+
     def note(self, effect: str) -> None:
         for change in self._changes:
             change.effects.append(effect)

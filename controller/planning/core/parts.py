@@ -92,6 +92,13 @@ class Admission:
         self._barred = max(self._barred, self._latest)
         self._pending, self._epoch, self._current = frozenset(), None, False
 
+    def check(self) -> None:
+        """Asserts that tickets lack an epoch only as long as none is known; see `Core.check`."""
+        assert len(self.canceled) <= MOST_CANCELED
+        late = [ticket for ticket in self.unresolved if ticket.epoch is not None]
+        assert not late, f"{late} have an epoch, and wait for one"
+        assert self._pending or not self._current or not self.unresolved, f"{self.unresolved} wait for no answer"
+
     def barred(self, ticket: Ticket, goal: str | None = None) -> bool:
         """Returns whether a cancel, stop, reset or fault came after a request; `goal` is its id, if it has one."""
         changed = ticket.epoch is not None and self._epoch is not None and ticket.epoch != self._epoch
@@ -158,6 +165,9 @@ class Jobs:
     def waiting(self) -> int:
         return len(self._jobs)
 
+    def awaited(self) -> set[int]:
+        return {number for number, job in self._jobs.items() if job.on_answer is not None}
+
 
 class Parts:
     def __init__(
@@ -169,6 +179,14 @@ class Parts:
         self.moment, self.admission = Moment(), Admission()
         self.jobs = Jobs(self.moment, act)
         self.last_number = 0  # of a program or stream of set-points
+
+    def check(self, tasks: list[int | None]) -> None:
+        """Asserts that tasks that are waited for run, and no tickets wait without a reason; see `Core.check`."""
+        waited = [task for task in tasks if task is not None]
+        assert len(waited) == len(set(waited)), f"two wait for a task: {waited}"
+        lost = set(waited) - self.jobs.awaited()
+        assert not lost, f"tasks {lost} are waited for, and nobody carries them out"
+        self.admission.check()
 
     def next_number(self) -> int:
         self.last_number += 1

@@ -47,6 +47,25 @@ class Programs:
     def unchecked(self) -> list[str]:
         return [goal.id for goal in self._goals.values() if goal.outcome is None and goal.feed.waits_for_check]
 
+    def awaited(self) -> list[int | None]:
+        return [task for goal in self._goals.values() for task in (goal.job, goal.checking)]
+
+    def check(self) -> None:
+        """Asserts that each program is known by its number, and that its reports come soon; see `Core.check`."""
+        running = [goal for goal in self._goals.values() if goal.state == "running"]
+        for number, goal in self._goals.items():
+            assert (goal.program.program, goal.state != "waiting") == (number, True), f"{goal.id} is {goal.state}"
+            assert not goal.held or goal.deviates, f"reports on {goal.id} wait for nothing"
+            assert not goal.deviates or goal.job is not None, f"{goal.id} waits for deviations that nobody computes"
+            assert goal.outcome is None or goal.job is goal.checking is None, f"tasks of {goal.id}, which was ended"
+            assert goal.unrecorded is None or self._unrecorded.get(goal.unrecorded) is goal, (
+                f"{goal.id} is not recorded"
+            )
+        assert not self._goals or self._view.connected, f"without an executor run {[goal.id for goal in running]}"
+        assert all(goal.unrecorded == entry for entry, goal in self._unrecorded.items()), (
+            "an acceptance has two entries"
+        )
+
     # --- sending
 
     def offer(self, goal: Goal) -> None:
@@ -66,9 +85,12 @@ class Programs:
 
     def end(self, goal: Goal, message: str, sentence: str = "") -> None:
         """Cancels a running program at the executor; with the result `message`. `sentence`: for the mode's reason."""
-        if goal.outcome is None:
+        if goal.outcome is not None:
+            return
+        self._stop_tasks(goal)
+        self._tell(goal)  # the program may have ended, and its result may wait for the deviations
+        if goal.program.program in self._goals:
             goal.outcome = GoalOutcome("aborted", PATH_TOLERANCE_VIOLATED, message, sentence)
-            self._stop_tasks(goal)
             self._act(ToExecutor(Cancel(0, goal.program.program, message[:1_000])))
 
     def pause_improvement(self) -> None:
@@ -154,7 +176,7 @@ class Programs:
                 goal.feed.park(generation)
                 self._feed(goal)
 
-    def check(self) -> None:
+    def check_parked(self) -> None:
         """Starts the checks of parked programs as soon as the obstacles are built. Call at the end of each step."""
         scene, state = self._obstacles.scene, self._view.state
         if scene is None or state is None:

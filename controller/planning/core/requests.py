@@ -31,6 +31,16 @@ class Queries:
     def waiting(self) -> int:
         return len(self._waiting)
 
+    def awaited(self) -> list[int | None]:
+        return [*self._jobs.values()]
+
+    def check(self) -> None:
+        """Asserts that each query waits for its task, or for the scene; see `Core.check`."""
+        idle = self._waiting.keys() - self._jobs.keys()
+        assert len(self._waiting) <= MOST_WAITING + 1, f"queries {list(self._waiting)} wait"
+        assert self._jobs.keys() <= self._waiting.keys(), "a query is planned that was answered"
+        assert not idle or self._premises.obstacles.scene is None, f"queries {idle} wait for nothing"
+
     def queue(self, query: Request) -> None:
         full = len(self._waiting) > MOST_WAITING
         self._waiting[query.number] = query
@@ -156,6 +166,13 @@ class ExecutorRequests:
     def overdue(self) -> bool:
         now = self._parts.moment.now
         return any(now > at + EXECUTOR_TIMEOUT for number, at in self._pending.items() if number not in self._resets)
+
+    def check(self) -> None:
+        """Asserts that each request waits for an executor that is connected; see `Core.check`."""
+        waits = self._pending.keys() - self._resets.keys()
+        assert self._resets.keys() <= self._pending.keys(), "a reset waits that was answered"
+        new = all(self._pending[number] == self._parts.moment.now for number in waits)  # `Unsent` follows
+        assert self._view.connected or new, f"requests {waits} wait without an executor"
 
     def _cancel_goal(self, number: int, goal: str) -> None:
         """Bars all earlier requests of an id: refuses those that wait, and ends its program."""

@@ -72,6 +72,17 @@ class Results:
     def waive(self, identity: Identity) -> None:
         self._told.add(identity)
 
+    def check(self) -> None:
+        """Asserts that each result is on its way once; see `Core.check`."""
+        on_way = [untold.identity for untold in (*self._publishing.values(), *self._recording.values())]
+        assert len(on_way) == len(set(on_way)), f"a result is on its way twice: {on_way}"
+        assert self._told.issuperset(on_way), "a result on its way does not count as told"
+        assert self._told.isdisjoint(self._owed), "a result that was told is still owed"
+        waits = {publication.number for publication in self._deferred.values()}
+        assert waits <= self._publishing.keys(), "a result waits for its acceptance, and nobody will publish it"
+        lost = self._doubtful.keys() - self._owed.keys()
+        assert not lost, f"results that may have left an earlier process are forgotten: {lost}"
+
     # --- made
 
     def ended(self, message: Ended, goal: Goal | None) -> None:
@@ -117,12 +128,12 @@ class Results:
     def met(self, instance: int) -> None:
         """Ends, as lost, the results that earlier executors owed, because another executor has come.
 
-        The new executor sends its stored results, or still runs these goals. `check` ends the others.
+        The new executor sends its stored results, or still runs these goals. `end_unsent` ends the others.
         """
         self._met_at = self._moment.now
         self._end_owed([identity for identity in self._owed if identity.instance != instance])
 
-    def check(self, running: int) -> None:
+    def end_unsent(self, running: int) -> None:
         """Ends, after a pause, owed programs of the present executor that it has neither sent nor runs.
 
         An earlier planner process acknowledged their results without recording them: the disk was full. `running` is
