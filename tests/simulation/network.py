@@ -70,8 +70,6 @@ class Socket(Connection):
             raise BrokenPipeError
         self._network.take_place()
         message = decode_down(data)
-        if not isinstance(message, Hello):
-            self._network.sends(message)
         self.forth(lambda: self._network.to_executor(self.client, message))
 
     def wait_writable(self, timeout: float) -> None:
@@ -109,14 +107,12 @@ class Network:
     """All connections to the executor.
 
     Attributes:
-        sends: takes what the planner sends, after its Hello.
         hears: takes what arrives at the planner's end; None: the end of the connection.
     """
 
     def __init__(self, arm: str, agenda: Agenda, random: Random, executor: ExecutorProcess) -> None:
         self.sent: Counter[str] = Counter()
         self.wake: Callable[[], None] = lambda: None
-        self.sends: Callable[[Down], None] = lambda message: None
         self.hears: Callable[[Up | None], None] = lambda message: None
         self._arm, self._agenda, self._random, self._executor = arm, agenda, random, executor
         self._sockets: dict[ClientId, Socket] = {}

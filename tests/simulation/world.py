@@ -21,7 +21,6 @@ from tests.simulation.executor.habits import Habits
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.executor.strangers import Strangers
 from tests.simulation.feed import Feed, Witnesses
-from tests.simulation.interface_feed import InterfaceFeed, interface_judge
 from tests.simulation.judge.judge import Judge
 from tests.simulation.judge.traffic import Look
 from tests.simulation.judge.verdict import Violation, require
@@ -29,13 +28,16 @@ from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.record import Record
 from tests.simulation.single_faults import SingleFaults
 from tests.simulation.statements.account import Account
+from tests.simulation.statements.daemon import statements_of_clients
 from tests.simulation.statements.executor import every_statement
 from tests.simulation.statements.objects import BoardObjects
 from tests.simulation.whole.daemon import Daemon
+from tests.simulation.whole.one_fault import one_fault
 from tests.simulation.whole.planned_arms import draw_planned_arm
 
 SINGLE_FAULTS = 10  # in each round of a world with a scripted planner
-TROUBLED = 0.35  # share of these rounds that have a time with many faults
+TROUBLED, WHOLE_TROUBLED = 0.35, 0.8  # share of these rounds that have a time with many faults
+PEACEFUL = 0.3  # share of the worlds with the whole daemon that have no trouble
 FILES = 0.9  # share of the arms that are written to a file and read
 PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all trouble; late SDO answers take long
 
@@ -99,11 +101,13 @@ class World:
             parts = arm.name, count, agenda, drawn("strangers"), self.executor
             self.strangers = Strangers(*parts, lambda: self.account.planner is not None)
         else:
-            of = interface_judge(judge, arm, planned, record)
+            simulated = habits.simulation is not None
             self.planner = self.daemon = Daemon(
-                arm, planned, agenda, drawn, self.executor, self.note, of, habits.simulation
+                arm, planned, agenda, drawn, self.executor, self.note, simulated, self.account
             )
-            witness.add(InterfaceFeed(self.daemon.judge, agenda))
+            witness.add(self.daemon.exchange)
+            of_clients = statements_of_clients(self.daemon.exchange, arm, planned, self.daemon.space)
+            self.account.judge([*every_statement(self.account), *of_clients])
         cut_off = self.planner.cut_off if isinstance(self.planner, ScriptedPlanner) else self.planner.network.cut_off
         self.executor.connect(self.planner.connection.deliver, cut_off)
         self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board, judge, self.account)
@@ -114,6 +118,7 @@ class World:
         self.trouble = Trouble(self, drawn("trouble"))
         self.single_faults = SingleFaults(self, drawn("single faults"), seed)
         self._random = drawn("periods")
+        self._peaceful = whole and drawn("peace").random() < PEACEFUL
         self.executor.start()
 
     def run(self, steps: int) -> None:
@@ -128,7 +133,7 @@ class World:
             self.planner.be_calm(False)
             self._let_strangers_stop(True)
             self.pass_time(self._random.uniform(1.0, 4.0 if self.daemon is not None else 2.5))
-            if self.daemon is not None or self._random.random() < TROUBLED:
+            if self._random.random() < (WHOLE_TROUBLED if self.daemon is not None else TROUBLED) and not self._peaceful:
                 self.disturb()
                 self.trouble.begin()
                 self.pass_time(self._random.uniform(2.0, 15.0 if self.daemon is not None else 6.0))
@@ -147,8 +152,6 @@ class World:
         self.record.doubt(self.intended)
         self.account.steps()
         self.judge.pulses.watch(self.agenda.now, self.reaches)
-        if self.daemon is not None:
-            self.daemon.judge.at(self.agenda.now)
 
     def _let_strangers_stop(self, may: bool) -> None:
         if self.strangers is not None:
@@ -168,6 +171,10 @@ class World:
         self._check_agreement()
         if self.daemon is not None:
             check_daemon(self, self.daemon)
+            if self.drawn_half():
+                self.disturb()
+                one_fault(self, self.daemon, self._random)
+                self.wait(self.settled, "ready after one fault", self.ready_within)
         for name in self.boards.simulated.names:
             self.objects.judge(name)
         if not self.record.suspect:

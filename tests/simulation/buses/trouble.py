@@ -107,8 +107,6 @@ class Trouble:
         match kind:
             case "executor stalls":
                 world.executor.stall(random.choice([0.015, 0.05, 0.2, 1.0, LONGEST_STALL]))
-                if world.daemon is not None:
-                    world.daemon.judge.account.note("executor still", world.executor.awake_since)
             case "executor is killed":
                 if world.daemon is not None and random.random() < 0.5:
                     world.daemon.clients.rush()
@@ -220,7 +218,7 @@ class Trouble:
                 daemon.fill_socket(random.choice([0, 0, 1, 2, 5]))
                 self._later(random.choice([0.1, 0.5, 3.0]), daemon.drain_socket)
             case "clock is set":
-                daemon.set_clock()
+                daemon.set_clock(random.choice([-3600.0, -1.0, -0.1, 0.1, 1.0, 3600.0]))
 
     def _ask_to_reset(self) -> None:
         """Asks for a reset, as an operator does who does not see that a door is open."""

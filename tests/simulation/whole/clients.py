@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperbit.controller.program import unpack
-from tests.simulation.judge.interface.grounds import planned_from
+from tests.simulation.statements.asked import states_from
 from tests.simulation.whole.wishes import STATES, Wishes
 from tests.simulation.whole.zenoh_model import LATENCY, Sent
 
@@ -61,6 +61,7 @@ OUT_OF_CONFIGURATION = {"degrade": 1, "jog": 2, "any": 4}  # if it is in no conf
 HOMING = {"obstacles": 5, "goal": 5, "jog": 2, "any": 5}  # if the next goal homes an actuator
 WITHOUT_EXECUTOR = {"stop": 2, "cancel": 2, "reset": 1, "degrade": 1}
 RUSH = ("plan", "plan", "plan", "goal", "jog", "obstacles", "degrade", "reset", "arm")
+PATIENT = 0.6  # share of what is asked for meanwhile, if the arm takes no goals
 UNDISTURBED = 0.7  # share of the streams that nobody disturbs
 STANDING = 0.3  # share of the streams whose target stands still
 PAUSE = 0.4  # [s] after a stream that nobody disturbs
@@ -91,15 +92,21 @@ class Clients:
         self._crowd = random.choice([0.0, 0.4, 0.8])  # share of the motions to which obstacles come
         self._agenda.after(1.0, self._act)
 
-    def ask(self, key: str, payload: dict[str, Any] | bytes = b"{}", *, query: bool = True) -> Sent:
-        """Sends a request of the client that acts now; returns it, to which replies are added."""
+    def ask(
+        self, key: str, payload: dict[str, Any] | bytes = b"{}", *, query: bool = True, drawn: str | None = None
+    ) -> Sent:
+        """Sends a request of the client that acts now; returns it, to which replies are added.
+
+        `drawn`: "accepted", or the reason of the refusal for which it was drawn.
+        """
         data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
         name = f"{self._prefix}/{key}"
         if not self.calm and key in NAMES and self._random.random() < 0.1:
             name = self._random.choice(NAMES[key])
-        elif not self.calm and self._random.random() < 0.02:
+        elif not self.calm and self._random.random() < 0.005:
             name = f"hyperbit/*/{key}"
         sent = self._daemon.zenoh.send(self._client, name, data, self._attachment(key), query)
+        sent.drawn = drawn
         self._sent = [*self._sent[-9:], sent]
         if key == "goal":
             self._goals.append(sent)
@@ -150,8 +157,10 @@ class Clients:
         codes = set() if state is None else {fault["code"] for fault in state["faults"]}
         if "executor-lost" in codes and random.random() < 0.3:
             return self._one_of(WITHOUT_EXECUTOR)
-        if halted and random.random() < 0.3:
+        if halted and random.random() < 0.6:
             return "reset"
+        if mode not in ("ready", "executing") and random.random() < PATIENT:
+            return self._one_of(ASIDE)
         act = "any"
         if mode == "ready":
             homing = HOMING if "unknown-position" in codes else AT_REST
@@ -319,11 +328,11 @@ class Clients:
     def _make_ready(self) -> None:
         """Asks for what is needed so that the arm takes a goal."""
         state, snapshot, daemon = self._daemon.state, self._daemon.snapshot, self._daemon
-        waiting = daemon.judge.account.waiting
+        waiting = daemon.exchange.unanswered
         if snapshot is None or state is None or daemon.process is None or waiting("reset", "degrade"):
             return
         free = unpack(snapshot.locked) & ~daemon.executed.locked
-        if daemon.judge.account.cubes and not waiting("obstacles"):
+        if daemon.exchange.confirmed and not waiting("obstacles"):
             self.ask("obstacles", {"regions": []})
         if state["mode"] in ("fault", "stopped"):
             self.ask("reset")
@@ -331,7 +340,7 @@ class Clients:
             self.ask("cancel")
         elif state["mode"] == "ready" and free:
             self.ask("degrade", {"actuator": self._labels[(free & -free).bit_length() - 1], "state": None})
-        elif (start := planned_from(snapshot)) not in daemon.space.index and not waiting("jog"):
+        elif (start := states_from(snapshot)) not in daemon.space.index and not waiting("jog"):
             locked = unpack(snapshot.locked)
             labels = [label for k, label in enumerate(self._labels) if not locked >> k & 1]
             code = daemon.space.nearest(start, locked)

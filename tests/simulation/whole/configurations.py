@@ -76,6 +76,7 @@ class Configurations:
 
     def __init__(self, manipulator: Manipulator, most: int, weights: Sequence[float]) -> None:
         every = np.array(list(product(*(range(count) for count in manipulator.states.tolist()))))
+        self.weights = tuple(weights)
         self.codes = np.array([integer(manipulator.actuator_states(row)) for row in every])
         frames = manipulator.tips(every)
         self.tips = frames[:, : manipulator.dimension, 3].copy()

@@ -12,15 +12,14 @@ import msgspec
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.motion.stages.pacing import pace_of
-from hyperbit.controller.planning.core.events import Payload, Record
-from hyperbit.controller.program import Counted, Diagnostics, Down, PlayableFaults, Snapshot, Up
+from hyperbit.controller.planning.core.events import Payload
+from hyperbit.controller.program import Counted, Diagnostics, Snapshot, Up
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
-from tests.simulation.judge.interface.facts import Request
-from tests.simulation.judge.interface.grounds import planned_from
-from tests.simulation.judge.interface.interface import InterfaceJudge
-from tests.simulation.judge.interface.results import unanswered
 from tests.simulation.network import Network
+from tests.simulation.statements.account import Account
+from tests.simulation.statements.asked import Request, states_from
+from tests.simulation.statements.exchange import Exchange
 from tests.simulation.whole.claims import check_claims
 from tests.simulation.whole.clients import Clients
 from tests.simulation.whole.configurations import Configurations
@@ -54,7 +53,7 @@ class Daemon:
 
     Args:
         drawn: returns random numbers for a purpose.
-        simulation: faults that can be played in simulated boards; None: the boards count as real.
+        simulated: whether the executor simulates its boards.
     """
 
     def __init__(
@@ -65,8 +64,8 @@ class Daemon:
         drawn: Callable[[str], Random],
         executor: ExecutorProcess,
         note: Callable[[object], None],
-        judge: Callable[[Daemon], InterfaceJudge],
-        simulation: PlayableFaults | None,
+        simulated: bool,
+        account: Account,
     ) -> None:
         self.executed, self.arm, self.agenda, self.pace = executed, arm, agenda, pace_of(arm.settings)
         weights = drawn("weights")
@@ -77,7 +76,6 @@ class Daemon:
         self.network = self.connection = Network(executed.name, agenda, drawn("network"), executor)
         self.storage, self.mood = Storage(len(executed.actuators)), Mood()
         self.search = ExactSearch(arm, self.space, drawn("search"))
-        self.search.erred = self._search_errs
         self.state: Payload | None = None
         self.results: dict[str, Payload] = {}
         self.snapshot: Snapshot | None = None
@@ -87,40 +85,34 @@ class Daemon:
         self.together, self.wanted = self._random.random() < 0.3, False
         self._errs = self._random.choice([0.0, 0.0, 0.3])
         self.awake_since, self.slow, self.congestion, self._offset = 0.0, 0.0, 0.0, UNIX
-        self.judge = judge(self)
-        self.simulated, self.judge.gateway.playable = simulation is not None, simulation
-        self.judge.account.simulated = self.simulated
-        self.witness = PlannerWitness(self.judge, agenda, self.mood, note)
+        self.exchange = Exchange(account, self)
+        self.simulated = simulated
+        self.witness = PlannerWitness(self.exchange, note)
         self.zenoh = ZenohModel(agenda, drawn("zenoh"), self, lambda: self.awake_since)
         self._claims = drawn("claims")
-        self.saved = SavedPoses(drawn("poses"), self.judge.gateway)
-        self.judge.gateway.recorded = self.zenoh.matching.matching
+        self.saved = SavedPoses(drawn("poses"))
         self.clients = Clients(self, drawn("clients"))
         self.process: PlannerProcess | None = None
         self._processes = 0
         self.network.wake, self.network.hears = self._readable, self._hears
-        self.network.sends = self._sends
         agenda.after(0.0, self.start)
 
     def start(self) -> None:
         if self.process is None:
             self._processes += 1
-            self.judge.at(self.agenda.now)
-            self.judge.account.ledger_counts = self.storage.counts
-            self.judge.begins(self._processes)
+            self.exchange.begins(self._processes)
             check_claims(self._claims)
             self.process = PlannerProcess(self, self._processes, self._random)
-            self.process.searcher.watch = self.witness.task_ends
 
     def planner_ended(self) -> None:
         """Starts the next process after a while; ends the executor, if it belongs to the same service."""
         self._note("the planner is dead")
         self.counts["planners that ended"] += 1
         self.process, self.state, self.snapshot = None, None, None
-        self.judge.at(self.agenda.now)
-        self.judge.begins(0)
+        self.exchange.begins(0)
         if self.together:
             self._executor.quit()
+        self.exchange.stands_still()
         self.awake_since = min(self.awake_since, self.agenda.now)
         self.agenda.after(self._random.choice([0.2, 1.0, 3.0]), self.start)
 
@@ -133,20 +125,14 @@ class Daemon:
             self.process.wake_soon()
 
     def _hears(self, message: Up | None) -> None:
-        self.judge.at(self.agenda.now)
+        self.exchange.hears(message)
         if message is None:
             self.snapshot = None
-            self.judge.disconnected()
             return
         if isinstance(message, Snapshot):
             self.snapshot = message
         if isinstance(message, Counted | Diagnostics):
             self._counted.append((self.agenda.now, message.counts))
-        self.judge.hears(message)
-
-    def _sends(self, message: Down) -> None:
-        self.judge.at(self.agenda.now)
-        self.judge.link.sends(message)
 
     @property
     def counted(self) -> tuple[int, ...]:
@@ -161,13 +147,9 @@ class Daemon:
     def arrives(self, sent: Sent, key: str) -> Request:
         self.counts[f"asked {key}"] += 1
         self._note(("arrives", sent.client, key, sent.name, sent.payload, sent.attachment, sent.query))
-        self.judge.at(self.agenda.now)
-        return self.judge.arrives(sent, key)
-
-    def unserved(self, sent: Sent) -> None:
-        """Takes a message on a key that the process has not declared."""
-        self.judge.at(self.agenda.now)
-        self.judge.gateway.unserved(sent.name)
+        request = self.exchange.arrives(key, sent.name, sent.query, sent.payload, sent.attachment)
+        request.drawn = sent.drawn
+        return request
 
     def replies(self, request: object, data: bytes) -> None:
         assert isinstance(request, Request)
@@ -175,12 +157,10 @@ class Daemon:
         answer = msgspec.json.decode(data)
         if "accepted" in answer:
             self.counts[f"{request.key} {'accepted' if answer['accepted'] else 'refused'}"] += 1
-        self.judge.at(self.agenda.now)
-        self.judge.replies(request, data)
+        self.exchange.replies(request, answer)
 
     def publishes(self, key: str, data: bytes) -> None:
         self.counts[f"published {key}"] += 1
-        self.judge.at(self.agenda.now)
         if key == "state":
             self.state = msgspec.json.decode(data)
         elif key == "result":
@@ -189,17 +169,11 @@ class Daemon:
             self.results[payload["id"]] = payload
         if key in ("result", "feedback"):
             self._note((key, data))
-        self.judge.publishes(key, data)
+        self.exchange.publishes(key, msgspec.json.decode(data))
 
     def ends_in_order(self) -> None:
         self.counts["planners that quit"] += 1
-        self.judge.ends_in_order()
-
-    def record(self, record: Record) -> None:
-        row = self.storage.rows[record.identity]
-        if record.ended is not None and row.accepted is not None:
-            self.judge.at(self.agenda.now)
-            self.judge.recorded(row.accepted.goal, record.ended.status)
+        self.exchange.ends_in_order()
 
     @property
     def awake(self) -> bool:
@@ -208,9 +182,8 @@ class Daemon:
 
     def stall(self, seconds: float) -> None:
         """Halts the process for a time [s]; what is sent to it waits."""
+        self.exchange.stands_still()
         self.awake_since = max(self.awake_since, self.agenda.now + seconds)
-        self.judge.at(self.agenda.now)
-        self.judge.account.stands_still(self.awake_since)
 
     def slow_down(self) -> None:
         """Makes the loop's thread busy for a while after a round."""
@@ -238,49 +211,29 @@ class Daemon:
         process = self.process
         self.agenda.after(self._random.uniform(0.0, 3 * LATENCY), process.quit)
 
-    def _search_errs(self) -> None:
-        self.judge.at(self.agenda.now)
-        self.judge.account.note("search errs")
-
     def lose_network(self, lost: bool) -> None:
         """Loses the connections to all peers, or brings them back."""
         self.zenoh.lost = lost
-        self.judge.at(self.agenda.now)
-        self.judge.warnings.network(lost)
 
     def fill_disk(self, records: int) -> None:
         """Makes the disk full after some further records."""
         self.storage.fills_at = records
         self.saved.fill(True)
-        self.judge.account.note("disk", self.agenda.now + 4.0)
-        self.judge.account.disk_failed = True
 
     def hold_up(self, slow: float = 0.0, congestion: float = 0.0) -> None:
         """Slows the loop's rounds [s], or lets clients read slowly [s]."""
         self.slow, self.congestion = slow, congestion
-        account = self.judge.account
-        account.slow, account.congested = slow > 0.0, congestion > 0.0
-        account.note("slow")
-        account.note("congested")
 
     def fill_socket(self, places: int) -> None:
         """Makes the socket to the executor full after some packets."""
         self.network.fill(places)
-        self.judge.at(self.agenda.now)
-        self.judge.account.full = True
 
     def drain_socket(self) -> None:
-        self.judge.at(self.agenda.now)
-        self.judge.account.full = False
-        self.judge.account.note("full")
         self.network.drain()
 
-    def set_clock(self) -> None:
-        by = self._random.choice([-3600.0, -1.0, -0.1, 0.1, 1.0, 3600.0])
+    def set_clock(self, by: float) -> None:
         self._offset += by
-        self.judge.at(self.agenda.now)
-        self.judge.warnings.clock_set(by)
-        self.judge.account.note("clock")
+        self.exchange.note("clock")
 
     def mend(self) -> None:
         """Ends all faults; a halt continues to its end."""
@@ -294,16 +247,20 @@ class Daemon:
         if self.process is not None:
             self.process.actions_left = None
             self.process.ledger.flush()
-            self.judge.warnings.ledger(self.process.ledger.waits)
 
     def be_calm(self, calm: bool) -> None:
         self.clients.calm, self.wanted = calm, False
         self.search.errs = 0.0 if calm else self._errs
 
     @property
+    def calm(self) -> bool:
+        """Whether clients only do what makes the arm ready."""
+        return self.clients.calm
+
+    @property
     def at_rest(self) -> bool:
         """Whether the planner says that the arm is ready, and everybody has an answer."""
         if self.state is None or self.state["mode"] != "ready" or self.snapshot is None or self.process is None:
             return False
-        known = planned_from(self.snapshot) in self.space.index
-        return known and not unanswered(self.judge.account) and not self.judge.account.cubes
+        known = states_from(self.snapshot) in self.space.index
+        return known and not self.exchange.unanswered() and not self.exchange.confirmed

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from random import Random
 from typing import Any, NamedTuple
 
@@ -64,13 +64,12 @@ class ExactSearch:
     """Answers tasks; each answer is a function of its task and of drawn choices among equal plans.
 
     Attributes:
-        errs: share of the plans that miss a waypoint; `erred` is called then.
+        errs: share of the plans that miss a waypoint.
     """
 
     def __init__(self, arm: Arm, space: Configurations, random: Random) -> None:
         self._arm, self._space, self._random = arm, space, random
         self.errs = 0.0
-        self.erred: Callable[[], None] = lambda: None
         self._size, self._pace = len(arm.manipulator.actuators), pace_of(arm.settings)
 
     def answers(self, task: Task) -> Iterator[Answer]:
@@ -153,7 +152,6 @@ class ExactSearch:
         goals = None if way == "cheapest" else self._greedy(graph, start, wanted, cheapest=way == "greedy")
         goals = goals or self._choose(graph, layers)
         if errs:
-            self.erred()
             goals = self._misled(graph, start, goals)
         points = self._points(arm_start, graph, start, goals)
         first = self._from_commanded(arm_start, points[0], scene)

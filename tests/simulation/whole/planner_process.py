@@ -25,8 +25,7 @@ from hyperbit.controller.planning.link import ExecutorLink
 from hyperbit.controller.planning.loop import Loop, PlannerFailed, Services
 from hyperbit.controller.planning.planner import Planner
 from hyperbit.controller.program import Fault
-from tests.simulation.judge.interface.account import LEASE
-from tests.simulation.judge.verdict import require
+from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.network import SimulatedLink
 from tests.simulation.whole.planner_storage import SimulatedLedger
 from tests.simulation.whole.searcher import Searcher
@@ -39,6 +38,7 @@ QUIT_WITHIN = 1.5  # [s], after which the process ends without its last results
 SPIN, MOST_IDLE = 1e-4, 20  # [s] between rounds without events, and number of those in a row
 UNIX = 1.7e9  # [s] between the two clocks
 
+LEASE = 4.0  # [s] of the simulated session
 SENDS_WITHIN = 0.0003  # [s], time of the outbox for a message
 
 LOGS = (daemon_module.log, loop_module.log, outbox_module.log, server_module.log)
@@ -74,6 +74,7 @@ class KillableLoop(Loop):
     """The loop, with a function that is called before each action."""
 
     before: Callable[[Action], None]
+    check: Callable[[], None]  # is called after each step
 
     def _carry_out(self, action: Action) -> None:
         self.before(action)
@@ -82,6 +83,8 @@ class KillableLoop(Loop):
     def _record(self, event: Event, now: float, wall: float, actions: Sequence[Action] | None) -> None:
         assert self.recorder is not None
         self.recorder(event, now, wall, actions)  # what the judge raises ends the run
+        if actions is not None:
+            self.check()
 
     def due(self, retry_at: float) -> float:
         """Returns when the loop must run again without an event [s]."""
@@ -116,7 +119,7 @@ class PlannerProcess:
         self.link = SimulatedLink(
             daemon.network, arm.settings.name, daemon.executed.digest, self._now, daemon.simulated
         )
-        self.ledger = SimulatedLedger(self._agenda, random, storage, self._lives, post, daemon.record)
+        self.ledger = SimulatedLedger(self._agenda, random, storage, self._lives, post)
         self.searcher = Searcher(self._agenda, random, daemon.search, daemon.mood, post)
         self.session, self.goals = daemon.zenoh.open(), RepeatedGoals(self._now)
         hooks = self.goals.ended, storage.mark, post
@@ -146,6 +149,7 @@ class PlannerProcess:
         clocks = self._now, daemon.wall
         self.loop = KillableLoop(self.core, self.link, self.searcher, services, daemon.witness, clocks)  # type: ignore[arg-type]
         self.loop.before = self._before
+        self.loop.check = self._check
         self.loop.ended.clear()
         gateway_clocks = Clocks(self._now, daemon.wall, self._pause)
         planner = Planner(arm, None, self.loop)  # type: ignore[arg-type]
@@ -156,7 +160,6 @@ class PlannerProcess:
 
     def _pause(self, seconds: float) -> None:
         """Holds up no other thread of the gateway."""
-        self._daemon.judge.gateway.paused(seconds)
 
     def _send_within(self, seconds: float) -> None:
         at = self._agenda.now + self._random.uniform(0.0, seconds)
@@ -188,19 +191,15 @@ class PlannerProcess:
         if self.quits_at == math.inf:
             self.quits_at = self._agenda.now + QUIT_WITHIN
             self.server.close()
-            self._daemon.judge.quits()
+            self._daemon.exchange.quits = True
             self.post(Quit())
             self._agenda.at(self.quits_at, lambda: self._end(in_order=True))
 
     def notify(self, assignment: str) -> None:
-        self._daemon.judge.at(self._agenda.now)
-        self._daemon.judge.journal.notifies(assignment)
+        """Does nothing: there is no service manager."""
 
     def _ledger_faults(self) -> tuple[Fault, ...]:
-        waits = self.ledger.waits
-        self._daemon.judge.at(self._agenda.now)
-        self._daemon.judge.warnings.ledger(waits)
-        return (Fault("ledger-unwritten", "ledger", "the disk is full"),) if waits else ()
+        return (Fault("ledger-unwritten", "ledger", "the disk is full"),) if self.ledger.waits else ()
 
     def wake_soon(self) -> None:
         self._wake_at(self._agenda.now + self._random.uniform(0.0, WAKE_UP))
@@ -246,6 +245,12 @@ class PlannerProcess:
         if isinstance(action, Reply):
             require(action.number in self.loop.replies, f"{action} answers no request, or one that was answered")
         self._daemon.witness.acts(action)
+
+    def _check(self) -> None:
+        try:
+            self.core.check()
+        except AssertionError as error:
+            raise Violation(f"the planner's core: {error}") from error
 
     def kill_after(self, actions: int) -> None:
         """Kills the process after some further actions, perhaps in the middle of a step."""

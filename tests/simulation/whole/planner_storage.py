@@ -83,10 +83,8 @@ class SimulatedLedger:
         storage: Storage,
         alive: Callable[[], bool],
         post: Callable[[Event], None],
-        note: Callable[[Record], None],
     ) -> None:
         self._agenda, self._random, self._storage, self._alive, self._post = agenda, random, storage, alive, post
-        self._note = note
         self._unwritten: list[Record] = []
         self._last = 0.0
 
@@ -119,5 +117,4 @@ class SimulatedLedger:
         if not storage.full:
             for record in self._unwritten:
                 storage.write(record)
-                self._note(record)
             self._unwritten.clear()

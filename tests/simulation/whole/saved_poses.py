@@ -10,23 +10,19 @@ from unittest import mock
 
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.host import files
-from tests.simulation.judge.interface.gateway import Gateway
 
 MEMORY = Path("/dev/shm")
 
 
 class SavedPoses:
-    def __init__(self, random: Random, judge: Gateway) -> None:
-        self._random, self._judge = random, judge
+    def __init__(self, random: Random) -> None:
+        self._random = random
         self._folder = tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None)
         self._path = Path(self._folder.name, "arm.poses.json")
 
     def poses(self) -> Poses:
-        judge = self._judge
         if self._random.random() < 0.1:
             self._path.write_bytes(self._random.choice([b"{", b"\xff", b'{"": {}}', b"[]"]))
-            judge.poses = {}
-        judge.begin()
         with mock.patch.object(files.log, "disabled", True):
             return Poses(self._path, "home of the model")
 
@@ -38,4 +34,3 @@ class SavedPoses:
             fresh.mkdir()
         elif not full and fresh.is_dir():
             fresh.rmdir()
-        self._judge.unwritable = full

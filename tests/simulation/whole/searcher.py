@@ -48,11 +48,7 @@ class Mood:
 
 
 class Searcher:
-    """The workers of one process; each kind has one thread, which carries out its tasks one after the other.
-
-    Attributes:
-        watch: takes number and task of each that ends, with its last answer.
-    """
+    """The workers of one process; each kind has one thread, which carries out its tasks one after the other."""
 
     def __init__(
         self, agenda: Agenda, random: Random, search: ExactSearch, mood: Mood, post: Callable[[Event], None]
@@ -62,7 +58,6 @@ class Searcher:
         self._lane_of = {kind: name for name, kinds in THREADS.items() for kind in kinds}
         self._abandoned: set[int] = set()
         self._hung = -1  # number of the task that is never answered
-        self.watch: Callable[[int, Task, Answer], None] = lambda number, task, answer: None
 
     @property
     def busy(self) -> int:
@@ -121,7 +116,7 @@ class Searcher:
         """Gives the last answer of a task, and begins the next task of its thread."""
         for lane in self._lanes.values():
             if lane and lane[0][0] == number:
-                self.watch(*lane.popleft(), answer)
+                lane.popleft()
                 self._abandoned.discard(number)
                 self._post(Answered(number, answer, True))
                 if lane:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from random import Random
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from hyperbit.controller.program import unpack
-from tests.simulation.judge.interface.locks import leaves_states
-from tests.simulation.whole.configurations import first_touched
+from tests.simulation.statements.asked import states_from
 
 if TYPE_CHECKING:
     from tests.simulation.whole.daemon import Daemon
 
 STATES = ("contracted", "extended")
+WILLING = 0.9  # share of the goals that can be accepted if the arm is ready, and stays so
 POSES = ("pick", "place", "a b", "P1")
 
 
@@ -21,18 +24,19 @@ class Wishes:
     """Draws what clients ask for."""
 
     def __init__(self, daemon: Daemon, random: Random) -> None:
-        self.numbers = 0
+        self.numbers, self._willing = 0, True
         self._daemon, self._random, self._labels = daemon, random, daemon.executed.actuators
 
     def goal(self) -> dict[str, Any]:
-        """Returns a goal of 1 to 5 waypoints, few of which cannot be reached."""
+        """Returns a goal of 1 to 5 waypoints; most goals can be accepted if the arm is ready."""
         random, pace = self._random, self._daemon.pace
+        self._willing = random.random() < WILLING
         self.numbers += 1
         time, waypoints = random.choice([0.0, 0.0, 0.5]), list[dict[str, Any]]()
         for _ in range(random.choice([1, 1, 2, 3, 5])):
-            waypoints.append({"position": self.position(0.02), "t": time})
+            waypoints.append({"position": self.position(0.2), "t": time})
             if random.random() < 0.15:
-                row = random.choice(self._daemon.space.notations)
+                row = self._daemon.space.notations[random.choice(self._chosen())]
                 waypoints[-1] = {"configuration": row, "t": time}
             time += pace.shortest * random.choice([1.0, 2.0, 4.0, len(self._labels)])
         message: dict[str, Any] = {"waypoints": waypoints}
@@ -43,14 +47,14 @@ class Wishes:
         if random.random() < 0.9 or "path_tolerance" in message:
             message["id"] = f"g{self.numbers}"
         if random.random() < 0.15:
-            message["stamp"] = self._daemon.wall() + random.uniform(-0.5, 1.0)
+            message["stamp"] = self._daemon.wall() + random.uniform(0.3 if self._willing else -0.5, 1.0)
         if random.random() < 0.5:
             chosen = {"position": random.choice([0.05, 0.3, 1.0])}
             message["tolerance"] = {**message.get("tolerance", {}), **chosen}
         if random.random() < 0.1:
-            message["deadline"] = random.choice([0.1, 1.0, 5.0])
+            message["deadline"] = random.choice([1.0, 5.0] if self._willing else [0.1, 1.0, 5.0])
         if random.random() < 0.2:
-            message["begin_within"] = random.choice([0.2, 1.0, 5.0])
+            message["begin_within"] = random.choice([1.0, 5.0] if self._willing else [0.2, 1.0, 5.0])
         return message
 
     def _turn(self, message: dict[str, Any]) -> None:
@@ -58,7 +62,7 @@ class Wishes:
         random, space = self._random, self._daemon.space
         for waypoint in message["waypoints"]:
             if "position" in waypoint and random.random() < 0.6:
-                k = random.choice(self._free() or range(len(space.tips)))
+                k = random.choice(self._chosen())
                 waypoint["position"] = [float(x) for x in space.tips[k]]
                 waypoint["orientation"] = float(space.angles[k]) + random.choice([0.0, 0.0, 0.02, 2 * math.pi])
         message["tolerance"] = {"orientation": random.choice([0.05, 0.5, 4.0])}
@@ -74,7 +78,7 @@ class Wishes:
             if k and "position" in waypoint and "position" in waypoints[k - 1]:
                 length = math.dist(waypoint["position"], waypoints[k - 1]["position"])
                 parts = math.ceil(length / (tolerance / 2)) + 1
-                time += self._daemon.pace.shortest * parts * random.choice([1.0, 1.0, 2.0, 0.3])
+                time += self._daemon.pace.shortest * parts * random.choice([1.0, 2.0] if self._willing else [1.0, 0.3])
             elif k:
                 time += self._daemon.pace.shortest
             waypoint["t"] = time
@@ -84,26 +88,82 @@ class Wishes:
         """Returns a goal that the arm can reach with its locked actuators."""
         self.numbers += 1
         tips = self._daemon.space.tips
-        tip = tips[self._random.choice(self._free() or range(len(tips)))]
+        tip = tips[self._random.choice(self._reachable() or range(len(tips)))]
         return {"id": f"g{self.numbers}", "waypoints": [{"position": [float(x) for x in tip]}]}
 
-    def _free(self) -> list[int]:
-        """Returns the configurations with the present locks that touch no obstacle."""
-        locked, states, cubes = 0, 0, self._daemon.judge.account.cubes
-        if self._daemon.snapshot is not None:
-            locked, states = unpack(self._daemon.snapshot.locked), unpack(self._daemon.snapshot.measured)
-        codes = ((code, k) for code, k in self._daemon.space.index.items() if not (code ^ states) & locked)
-        return [k for code, k in codes if first_touched(cubes, code, [code]) is None]
+    def drawn(self) -> tuple[str, dict[str, Any] | bytes, str]:
+        """Returns key and payload of a request in calm, and its answer: "accepted", or the reason of a refusal."""
+        position, row = self.position(), self._daemon.space.notations[0]
+        k = self._random.randrange(len(self._labels))
+        jogged = "actuator-locked" if self._daemon.executed.locked >> k & 1 else "accepted"
+        of_fault = [] if self._daemon.simulated else [("fault", {"fault": "silence can0/5"}, "not-simulated")]
+        return self._random.choice(
+            [
+                ("goal", self.simple_goal(), "accepted"),
+                ("plan", self.simple_goal(), "accepted"),
+                (
+                    "jog",
+                    {"actuators": self.some_states()},
+                    "actuator-locked" if self._daemon.executed.locked else "accepted",
+                ),
+                ("cancel", {"id": "nobody"}, "accepted"),
+                ("obstacles", {"regions": []}, "accepted"),
+                ("reset", {}, "accepted"),
+                ("goal", {"waypoints": []}, "no-waypoints"),
+                ("goal", b"\xff", "not-utf8"),
+                ("goal", b"{", "not-json"),
+                ("goal", b"[1]", "no-object"),
+                ("goal", {"waypoints": [{"t": 1.0}]}, "no-destination"),
+                ("goal", {"waypoints": [{"position": [0.1, 0.1, 0.1]}]}, "wrong-dimension"),
+                ("goal", {"waypoints": [{"position": position, "configuration": row}]}, "two-destinations"),
+                ("goal", {"waypoints": [{"position": position}, {"position": position}]}, "times-not-increasing"),
+                ("goal", {"waypoints": [{"position": [1e3, 0.0]}]}, "beyond-length"),
+                ("goal", {"waypoints": [{"position": position}], "speed": 1}, "invalid-fields"),
+                ("plan", {"waypoints": [{"position": [1e3, 0.0]}]}, "beyond-length"),
+                ("jog", {"actuators": {self._labels[k]: self._random.choice(STATES)}}, jogged),
+                ("cancel", {"id": "nobody"}, "accepted"),
+                ("obstacles", {"regions": []}, "accepted"),
+                ("reset", {}, "accepted"),
+                ("goal", {"waypoints": []}, "no-waypoints"),
+                ("goal", b"\xff", "not-utf8"),
+                ("goal", b"{", "not-json"),
+                ("goal", b"[1]", "no-object"),
+                ("goal", {"waypoints": [{"t": 1.0}]}, "no-destination"),
+                ("goal", {"waypoints": [{"position": [0.1, 0.1, 0.1]}]}, "wrong-dimension"),
+                ("goal", {"waypoints": [{"position": position, "configuration": row}]}, "two-destinations"),
+                ("goal", {"waypoints": [{"position": position}, {"position": position}]}, "times-not-increasing"),
+                ("goal", {"waypoints": [{"position": [1e3, 0.0]}]}, "beyond-length"),
+                ("goal", {"waypoints": [{"position": position}], "speed": 1}, "invalid-fields"),
+                ("plan", {"waypoints": [{"position": [1e3, 0.0]}]}, "beyond-length"),
+                ("jog", {"actuators": {"9.9": "extended"}}, "unknown-actuator"),
+                ("degrade", {"actuator": "9.9", "state": 1}, "unknown-actuator"),
+                ("result", {"id": "nobody"}, "unknown-goal"),
+                ("poses", {"remove": "nobody"}, "unknown-pose"),
+                *of_fault,
+            ]
+        )
+
+    def _chosen(self) -> Sequence[int]:
+        """Returns the configurations for waypoints: those that can be reached, or all of them."""
+        every = range(len(self._daemon.space.tips))
+        return (self._reachable() or every) if self._willing else every
+
+    def _reachable(self) -> list[int]:
+        """Returns the configurations to which the arm can go now, with its locks and among the obstacles."""
+        space, snapshot = self._daemon.space, self._daemon.snapshot
+        start = -1 if snapshot is None else states_from(snapshot)
+        if snapshot is None or start not in space.index:
+            return []
+        cubes = tuple(sorted(self._daemon.exchange.possible))
+        graph, costs = space.graph(unpack(snapshot.locked), start, cubes), np.full(len(space.codes), np.inf)
+        costs[space.index[start]] = 0.0
+        reached = np.isfinite(graph.spread(costs)) & graph.permitted
+        return [int(k) for k in np.flatnonzero(reached)]
 
     def position(self, unreachable: float = 0.0) -> list[float]:
-        """Returns the tip of a random configuration, or a position that perhaps no configuration reaches.
-
-        Most tips are those of configurations with the present locks that touch no obstacle.
-        """
-        tips = self._daemon.space.tips
-        free = self._free() if self._random.random() < 0.7 else []
-        tip = tips[self._random.choice(free or range(len(tips)))]
-        if self._random.random() < unreachable:
+        """Returns the tip of a configuration, or a position that perhaps no configuration reaches."""
+        tip = self._daemon.space.tips[self._random.choice(self._chosen())]
+        if not self._willing and self._random.random() < unreachable:
             tip = tip * 0.9
         return [float(x) for x in tip]
 
@@ -119,10 +179,16 @@ class Wishes:
             contradicted = unpack(snapshot.sensed) & unpack(snapshot.known)
             every = [(k, value) for k in range(len(self._labels)) for value in (0, 1)]
             every = [(k, v) for k, v in every if not contradicted & (unpack(snapshot.measured) ^ v << k) >> k & 1]
-            modules = self._daemon.judge.account.modules
-            bad = [(self._labels[k], value) for k, value in every if not leaves_states(modules, snapshot, k, value)]
+            bad = [(self._labels[k], value) for k, value in every if not self._leaves_states(k, value)]
             label, state = random.choice(bad or [(label, state)])
         return {"actuator": label, "state": state}
+
+    def _leaves_states(self, k: int, value: int) -> bool:
+        """Returns whether some configuration has an actuator in a state, and the locked ones in theirs."""
+        snapshot, bit = self._daemon.snapshot, 1 << k
+        assert snapshot is not None
+        states, mask = unpack(snapshot.measured) & ~bit | value << k, unpack(snapshot.locked) | bit
+        return any(not (code ^ states) & mask for code in self._daemon.space.index)
 
     def regions(self) -> list[dict[str, Any]]:
         """Returns obstacles, each a cube of states; most do not touch the arm at rest."""

@@ -33,6 +33,7 @@ class Sent:
         query: whether it is a query; else a put.
         at: time of sending [s].
         replies: takes the payload of each reply.
+        drawn: "accepted", or the reason of the refusal for which it was drawn in calm; None: nobody can say.
     """
 
     client: int
@@ -42,6 +43,7 @@ class Sent:
     query: bool
     at: float
     replies: list[bytes] = field(default_factory=list)
+    drawn: str | None = None
 
 
 class Observer(Protocol):
@@ -49,9 +51,6 @@ class Observer(Protocol):
 
     def arrives(self, sent: Sent, key: str) -> object:
         """A message arrives on a declared key; returns what identifies it to `replies`."""
-
-    def unserved(self, sent: Sent) -> None:
-        """A message comes to a process that has declared no such key."""
 
     def replies(self, request: object, data: bytes) -> None:
         """A reply leaves the process."""
@@ -148,10 +147,7 @@ class SimulatedSession:
 
     def receive(self, sent: Sent) -> None:
         """Hands a message that arrives to each key that it names."""
-        declared_keys = [d for d in self.declared if d.query == sent.query and matches(sent.name, d.name)]
-        if not declared_keys:
-            self.network.observer.unserved(sent)
-        for declared in declared_keys:
+        for declared in [d for d in self.declared if d.query == sent.query and matches(sent.name, d.name)]:
             if declared in self.declared:
                 request = self.network.observer.arrives(sent, declared.name.rpartition("/")[2])
                 it = SimulatedQuery(sent, self, request) if sent.query else SimulatedSample(sent)

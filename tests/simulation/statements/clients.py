@@ -1,0 +1,175 @@
+"""Statements on requests: each has one true answer, a stop bars what came before it, each goal has one result."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from hyperbit.controller.program import Setpoint
+from tests.simulation.facts import Switch
+from tests.simulation.statements.asked import Payload, Ran, Request
+from tests.simulation.statements.exchange import Exchange
+from tests.simulation.statements.statement import Statement
+
+PAGE = Path(__file__).parents[3] / "controller" / "refusals" / "README.md"
+BEHIND = 7.0  # [s], awake: an answer may wait behind results, which wait for clients to reconnect
+DESCRIBED_WITHIN = 75.0  # [s], awake: five plans of 10 s, one after the other, with the worker's delays
+LOOK_EVERY = 0.1  # [s]
+
+
+class OfClients(Statement):
+    """A statement over what clients and the daemon tell each other."""
+
+    def __init__(self, exchange: Exchange) -> None:
+        super().__init__(exchange.account)
+        self.exchange = exchange
+
+
+class NothingBeginsAfterAClientsStop(OfClients):
+    """After the answer to a stop or cancel nothing begins, and no pin changes, for what a client asked before it."""
+
+    number = 2
+
+    def accepts(self, ran: Ran) -> None:
+        if ran.request is not None:
+            self._judge(ran.request.number, ran.goal, f"{ran.request} begins")
+
+    def switches(self, switch: Switch) -> None:
+        if switch.cause != "SYNC" or switch.sync is None or not switch.sync.asked:
+            return
+        motion = max((motion for motion, _ in switch.sync.asked), key=lambda motion: motion.order)
+        if isinstance(motion.message, Setpoint):
+            self._judge(self.exchange.stream_began, None, f"{switch.mask:b} switch for set-points")
+            return
+        ran = self.exchange.programs.get((self.exchange.instance, motion.message.program))
+        if ran is not None and ran.request is not None:
+            self._judge(ran.request.number, ran.goal, f"{switch.mask:b} switch for {ran.request}")
+
+    def _judge(self, number: int, goal: str | None, text: str) -> None:
+        for barrier in self.exchange.barriers:
+            if barrier.number > number and barrier.goal in (None, goal):
+                over = barrier.answered_at < self.account.now
+                self.require(not over, lambda barrier=barrier: f"{text} after the answer to {barrier}")  # type: ignore[misc]
+
+
+class EachGoalHasOneResult(OfClients):
+    """Each accepted goal has exactly one result, also over kills; a refused one has none."""
+
+    number = 3
+
+    def answered(self, request: Request, answer: Payload) -> None:
+        if request.key in ("goal", "jog") and answer["accepted"]:
+            self.require(self.exchange.ran(answer["id"]), lambda: f"{request} is accepted, and no executor has it")
+
+    def result(self, payload: Payload) -> None:
+        if payload["status"] == "refused":
+            puts = [r for r in self.exchange.requests if not r.query and r.answer is None]
+            fits = [r for r in puts if payload["id"] in (None, r.goal) or r.goal is None]
+            self.require(fits, lambda: f"result {payload}, and no put waits")
+            return
+        ran, text = self.exchange.ran_of(payload), f"result {payload}"
+        self.require(ran is not None, lambda: f"{text}, and no such goal was accepted")
+        if ran is None:
+            return
+        if ran.results:
+            first = ran.results[0]
+            same = all(first[name] == payload[name] for name in ("status", "code"))
+            self.require(payload.get("repeated") and same, lambda: f"{text} is told again, after {first}")
+        elif payload.get("repeated"):  # an earlier process had marked it, and may not have sent it
+            self.require(self.exchange.happened("planner", ran.at), lambda: f"{text}, for the first time")
+
+    def told_all(self) -> None:
+        for ran in self.exchange.programs.values():
+            accepted, recorded = self.exchange.recorded(ran)
+            if accepted or (ran.request is not None and ran.request.accepted):
+                self.require(ran.results, lambda ran=ran: f"{ran.goal} was accepted, and has no result")  # type: ignore[misc]
+                self.require(recorded, lambda ran=ran: f"the ledger lacks {ran.goal}")  # type: ignore[misc]
+
+
+class EachRequestHasOneAnswer(OfClients):
+    """Each request has one answer in time; what was drawn in calm is accepted or refused as it was drawn."""
+
+    number = 11
+
+    def __init__(self, exchange: Exchange) -> None:
+        super().__init__(exchange)
+        self._looked, self._reasons = 0.0, reasons_on_the_page()
+
+    def answered(self, request: Request, answer: Payload) -> None:
+        text = f"{request} is answered by {answer}"
+        self.require(request.answer is None, lambda: f"{text} again, after {request.answer}")
+        if request.key == "arm" and "accepted" not in answer:
+            return
+        if answer["accepted"]:
+            self.require(answer["code"] == 0 and answer["message"], text)
+        else:
+            code, sentence = self._reasons[answer["reason"]]
+            self.require(answer["code"] == code and sentence.fullmatch(answer["message"]), text)
+        if request.drawn is not None:
+            told = "accepted" if answer["accepted"] else answer["reason"]
+            self.require(told == request.drawn, lambda: f"{text}; it was drawn as {request.drawn}")
+
+    def steps(self) -> None:
+        if self.account.now < self._looked + LOOK_EVERY:
+            return
+        self._looked = self.account.now
+        for request in self.exchange.unanswered():
+            longest = DESCRIBED_WITHIN if request.key == "plan" else max(request.patience, 8.0) + BEHIND
+            waited = self.exchange.awake - request.awake
+            self.require(waited <= longest, lambda r=request, w=waited: f"{r} has no answer after {w:g} s")  # type: ignore[misc]
+
+    def ends_in_order(self) -> None:
+        left = [str(request) for request in self.exchange.unanswered()]
+        self.require(not left, lambda: f"the process has ended without the answers to {left}")
+
+
+class CalmMeansReady(OfClients):
+    """In calm the arm is ready, and a simple goal succeeds."""
+
+    number = 10
+
+    def tried(self, result: Payload) -> None:
+        self.require(result["status"] == "succeeded", lambda: f"a simple goal ends as {result}")
+
+
+class OneFaultIsTold(OfClients):
+    """One fault in calm: exactly its row of the table is told. `one_fault` waits for its begin and its end."""
+
+    number = 16
+
+    def __init__(self, exchange: Exchange) -> None:
+        super().__init__(exchange)
+        self._expected: set[str] | None = None  # codes; None: nothing was broken
+
+    def breaks(self, expected: set[str]) -> None:
+        self._expected = expected
+
+    def is_mended(self) -> None:
+        self._expected = None
+
+    def state(self, payload: Payload) -> None:
+        if self._expected is not None:
+            others = {fault["code"] for fault in payload["faults"]} - self._expected
+            self.require(not others, lambda: f"{others} are told, expected are {self._expected}")
+
+
+class NoInternalError(OfClients):
+    """There is no internal error, and no traceback."""
+
+    number = 18
+
+    def planner_logs(self, text: str) -> None:
+        self.require("Traceback" not in text, text)
+
+    def answered(self, request: Request, answer: Payload) -> None:
+        self.require(answer.get("reason") != "internal-error", lambda: f"{request} is answered by {answer}")
+
+
+def reasons_on_the_page() -> dict[str, tuple[int, re.Pattern[str]]]:
+    """Returns code and sentence of each reason in the page's table; facts in the sentence match anything."""
+    found = {}
+    for row in PAGE.read_text().splitlines():
+        if match := re.match(r"\| `([a-z0-9-]+)` \| (-?\d+) \| (.*?) \| ", row):
+            words = re.sub(r"\\\{[^}]*\\\}", ".*", re.escape(match[3]))
+            found[match[1]] = int(match[2]), re.compile(words, re.DOTALL)
+    return found
