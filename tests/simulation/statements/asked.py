@@ -68,7 +68,7 @@ class Ran:
 
     Attributes:
         request: for which it was made; None: several fit, or it is of an earlier process.
-        start: from which it was planned, and its locked actuators; None: the arm moved, or was not known.
+        start: from which it was planned, and its locked actuators; None: that is not sure.
         among: all obstacles that may have been in force when it was accepted.
         marks: of its stages.
         mark: that the last stage which has begun leads to; -1 before the first.

@@ -24,7 +24,7 @@ from hyperbit.controller.program import (
 )
 from tests.simulation.executor.process import Witness
 from tests.simulation.statements.account import Account
-from tests.simulation.statements.asked import Heard, Payload, Ran, Request, body_of
+from tests.simulation.statements.asked import Heard, Payload, Ran, Request, body_of, states_from
 from tests.simulation.whole.configurations import Cube
 from tests.simulation.whole.planner_storage import Row
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from tests.simulation.whole.daemon import Daemon
 
 REMEMBERED = 60.0  # [s] for which answered requests are kept
-SETTLED = 0.3  # [s], awake, in which all snapshots are the same before a program that is surely planned from them
+SETTLED = 0.02  # [s], awake, in which all snapshots are the same before a program that is surely planned from them
 PAUSE = 0.25  # [s] without a set-point, after which a stream has ended
 OLDEST = 0.2  # [s] of a set-point between its arrival and the core
 MAILBOXES = ("setpoint", "measured_tip")
@@ -246,10 +246,12 @@ class Exchange(Witness):
         """Returns from where a program was planned, and what was locked, if that is sure."""
         snapshots = list(self.lately(SETTLED))
         first = snapshots[0]
-        if first is None or first.outputs != program.start or first.moving or first.measured != first.outputs:
+        if first is None or first.outputs != program.start:
             return None
-        same = all(s is not None and s.measured == first.measured and s.locked == first.locked for s in snapshots)
-        return (unpack(first.measured), unpack(first.locked)) if same else None
+        same = all(
+            s is not None and states_from(s) == states_from(first) and s.locked == first.locked for s in snapshots
+        )
+        return (states_from(first), unpack(first.locked)) if same else None
 
     # --- the planner's process
 

@@ -175,7 +175,7 @@ class BoundsAreTrue(OfTheArm):
         start, locked = ran.start
         least = self.mechanics.least(start, locked, ran.among, wanted)
         self.require(payload["lower_bound"] <= least + SLACK, lambda: f"{text}; a way from {start:b} costs {least}")
-        if payload["optimal"] and self.mechanics.uniform:
+        if payload["optimal"] and self.mechanics.uniform and unpack(ran.program.start) == start:
             self.require(payload["switches"] <= least + SLACK, lambda: f"{text}; {least} switches are possible")
 
     def answered(self, request: Request, answer: Payload) -> None:

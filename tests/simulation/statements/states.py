@@ -161,6 +161,9 @@ class NoStageTouchesAnObstacle(OfTheArm):
         snapshot = self.exchange.snapshot
         if switch.cause != "SYNC" or not self._sure or not self._among or snapshot is None:
             return
+        starts = [motion.start for motion, _ in switch.sync.asked] if switch.sync is not None else []
+        if not starts or any(start not in self.mechanics.tips for start in starts):
+            return  # a jog from no configuration is not checked, and its answer says so
         locked, measured = unpack(snapshot.locked), unpack(snapshot.measured)
         before = self.account.pins[-1].states & ~locked | measured & locked
         after = before ^ switch.mask & ~locked

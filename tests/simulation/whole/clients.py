@@ -21,7 +21,7 @@ ACTS = {
     **{"goal": 40, "jog": 10, "plan": 6, "cancel": 3, "cancel goal": 4, "stop": 0.5, "reset": 2, "degrade": 3},
     **{"obstacles": 6, "arm": 2, "stream": 6, "tip": 10, "garbage": 2, "repeat": 6, "many goals": 0.5, "wait": 10},
     **{"poses": 2.0, "again": 1.0, "flood": 0.15, "crowd": 0.4, "many arms": 0.03},
-    **{"burst": 3, "result": 3, "vanish": 1, "same id": 1.5, "many plans": 0.3, "fault": 2.0},
+    **{"burst": 8, "result": 3, "vanish": 1, "same id": 1.5, "many plans": 0.3, "fault": 2.0},
 }
 ASIDE = {"arm": 4, "plan": 3, "poses": 2, "result": 2, "tip": 5, "garbage": 1}  # while the clients wait for a motion
 BURSTS = (
@@ -54,7 +54,7 @@ DESCRIPTIONS = (
     b'{"with": "x"}',
 )
 CLIENTS = 4  # the last one attaches the same bytes to each of its requests
-ATTENDED = 0.5  # share of the goals and jogs whose end the clients wait for
+ATTENDED = 0.7  # share of the goals and jogs whose end the clients wait for
 ATTENDED_FOR = 2.0  # [s], longest
 AT_REST = {"stream": 8, "degrade": 6, "goal": 20, "any": 66}  # if the arm is ready
 OUT_OF_CONFIGURATION = {"degrade": 1, "jog": 2, "any": 4}  # if it is in no configuration

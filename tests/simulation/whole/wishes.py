@@ -91,6 +91,15 @@ class Wishes:
         tip = tips[self._random.choice(self._reachable() or range(len(tips)))]
         return {"id": f"g{self.numbers}", "waypoints": [{"position": [float(x) for x in tip]}]}
 
+    def sure_goal(self) -> dict[str, Any]:
+        """Returns a goal of up to four waypoints that succeeds in calm; several configurations may serve each."""
+        tips, reachable, random = self._daemon.space.tips, self._reachable(), self._random
+        apart = self._daemon.pace.shortest * len(self._labels)
+        places = [tips[random.choice(reachable)].tolist() for _ in range(random.choice([1, 3, 4]))]
+        waypoints = [{"position": place, "t": k * apart} for k, place in enumerate(places)]
+        tolerance = {"position": random.choice([0.05, 0.3, 1.0])}
+        return {**self.simple_goal(), "waypoints": waypoints, "tolerance": tolerance}
+
     def drawn(self) -> tuple[str, dict[str, Any] | bytes, str]:
         """Returns key and payload of a request in calm, and its answer: "accepted", or the reason of a refusal."""
         position, row = self.position(), self._daemon.space.notations[0]
