@@ -179,7 +179,11 @@ class NumbersNeverFall(Statement):
                 self._grows(("stage", message.program), message.stage)
                 self._grows(("switches", message.program), message.switches, strictly=False)
             case Settled():
-                self._grows(("mark", message.program), message.mark)
+                motion = self.account.programs[message.program]
+                right = motion.unsettled and motion.stages[motion.taken].mark == message.mark
+                self.require(
+                    right, f"mark {message.mark} of program {message.program} is told, at stage {motion.taken}"
+                )
             case Ended() if message.result not in self.account.owed:
                 self._grows("result", message.result)
             case _:
