@@ -264,6 +264,18 @@ def measured(master: Master, wiring: Wiring) -> int:
     return (master.ends & ended | master.outputs & ~ended) & everything & master.known
 
 
+def spoken(world: World) -> str:
+    """Returns the frames since the last call in lines: what the master sends, and the answer of the board to it."""
+    lines: list[str] = []
+    for cob_id, data in world.frames(sdo=True):
+        frame = f"{cob_id:03x} {data}".strip()
+        if cob_id & 0x780 == cia301.SDO_ANSWER and lines:
+            lines[-1] = f"{lines[-1]:40}| {frame}"
+        else:
+            lines.append(frame)
+    return "".join(f"{line}\n" for line in lines)
+
+
 def bits(*states: int) -> int:
     return sum(state << k for k, state in enumerate(states))
 

@@ -12,7 +12,7 @@ from hyperbit.drivers.canopen.tools.eds_check import lacks
 from hyperbit.drivers.canopen.tools.eds_file import UnreadableEds
 from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Interlock, NodeWiring, Timing, WatchedObject, Wiring
 from hyperbit.drivers.simulation.variants import VARIANTS
-from tests.drivers.canopen.tools.test_eds_texts import TEXT, both, drop, put
+from tests.drivers.canopen.tools.changes import TEXT, both, drop, put
 from tests.drivers.rig import World
 
 BUS = BusWiring("can0", "none", "can0")

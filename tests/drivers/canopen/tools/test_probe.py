@@ -9,14 +9,13 @@ from hyperbit.drivers.canopen.tools.probe import ProbedNode, probe_bus
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame, State
 from hyperbit.drivers.canopen.wire.events import FrameReceived
-from hyperbit.drivers.canopen.wiring import Channel
 from hyperbit.drivers.simulation.variants import VARIANTS
-from tests.drivers.canopen.tools.sessions import session
-from tests.drivers.rig import World, two_boards
+from tests.drivers.rig import World, each_node, two_boards
+from tests.drivers.sessions import SessionInWorld
 
 
 def probed(world: World, **options: bool) -> list[ProbedNode]:
-    with session(world) as asking:
+    with SessionInWorld(world) as asking:
         world.frames(sdo=True)
         return probe_bus(asking, "can0", **options)
 
@@ -36,20 +35,20 @@ def test_all_nodes_are_found_and_nothing_is_written() -> None:
     assert all(data.startswith(("40", "60", "70")) for data in requests), "uploads and their segments only"
 
 
-@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize("name", ["many-outputs", "maker-object", "canopennode", "slow-answers", "short-mapping"])
 def test_each_variant_has_its_row(name: str) -> None:
-    world = World(two_boards(), variants={"can0/5": VARIANTS[name]})
+    world = World(two_boards(), variant=name)
     world.run(6.0)
     five = probed(world)[0]
     assert (five.node, five.answers, five.trouble) == (5, True, None)
-    board = world.boards.board("can0/5").objects
+    board = world.board().objects
     for (index, sub), value in five.numbers.items():
         assert value == board.number(index, sub), f"{index:04X}h sub {sub}"
     assert [pdo.parameters for pdo in five.rpdos] == [i for i in range(0x1400, 0x1420) if board.has(i)]
 
 
 def test_a_probe_takes_no_longer_with_many_silent_nodes() -> None:
-    world = World([Channel(str(n), "can0", n, 0, 0) for n in range(1, 101)])
+    world = World(each_node(100))
     for node in range(2, 101):
         world.fault("silence", f"can0/{node}")
     begun_at = world.now
@@ -59,7 +58,7 @@ def test_a_probe_takes_no_longer_with_many_silent_nodes() -> None:
 
 def test_a_stopped_board_is_heard_though_it_does_not_answer() -> None:
     world = World(two_boards()).up()
-    world.say(cia301.NMT, bytes([cia301.Command.STOP, 9]))
+    world.nmt(cia301.Command.STOP, 9)
     world.run(0.1)
     assert [(node.node, node.answers, node.state) for node in probed(world)] == [
         (5, True, State.PRE_OPERATIONAL),
@@ -69,7 +68,7 @@ def test_a_stopped_board_is_heard_though_it_does_not_answer() -> None:
 
 def test_a_stopped_board_without_heartbeats_answers_a_remote_frame() -> None:
     world = World(two_boards(), variants={"can0/9": VARIANTS["guarding-only"]})
-    world.say(cia301.NMT, bytes([cia301.Command.STOP, 9]))
+    world.nmt(cia301.Command.STOP, 9)
     assert [(node.node, node.answers, node.state) for node in probed(world)] == [
         (5, True, None),
         (9, False, State.STOPPED),
@@ -80,7 +79,7 @@ def test_a_stopped_board_without_heartbeats_answers_a_remote_frame() -> None:
 
 def test_a_board_with_the_factory_default_127_is_no_master() -> None:
     world = World()
-    with session(world) as asking:
+    with SessionInWorld(world) as asking:
         world.say(cia301.HEARTBEAT + 0x7F, b"\x7f")
         found = probe_bus(asking, "can0")
     assert [(node.node, node.state) for node in found if not node.answers] == [(0x7F, State.PRE_OPERATIONAL)]
@@ -93,7 +92,7 @@ def test_a_short_probe_reads_the_identity_only() -> None:
 
 def test_a_node_that_stops_answering_is_reported() -> None:
     world = World()
-    board = world.boards.board("can0/5")
+    board = world.board()
 
     def fail_after(bus: str, frame: Frame) -> bool:
         board.silent |= frame.id == 0x585 and frame.data[1:3] == bytes.fromhex("05 10")
@@ -104,7 +103,7 @@ def test_a_node_that_stops_answering_is_reported() -> None:
 
 
 def test_a_bus_that_is_down_ends_the_probe() -> None:
-    with session(World()) as asking:
+    with SessionInWorld(World()) as asking:
         asking.lose("can0")
         with pytest.raises(BusError, match="can0: it is down"):
             probe_bus(asking, "can0")
@@ -112,7 +111,7 @@ def test_a_bus_that_is_down_ends_the_probe() -> None:
 
 def test_strange_frames_do_no_harm() -> None:
     world = World()
-    with session(world) as asking:
+    with SessionInWorld(world) as asking:
         for frame in (Frame(0x585, b"\x43"), Frame(0x585, b"\xff" * 8), Frame(0x705, b""), Frame(0x7FF, b"\x09")):
             asking.buses["can0"].events.append(FrameReceived("can0", frame))
         [five] = probe_bus(asking, "can0")

@@ -1,10 +1,12 @@
-"""Sessions with the simulated boards of a world, on its clock."""
+"""Sessions of the tools with the simulated boards of a world, on its clock."""
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Any
+from collections.abc import Callable
+from dataclasses import replace
 
+from hyperbit.drivers.canopen.tools.bus_check import CheckedBoard, check_bus
 from hyperbit.drivers.canopen.tools.session import Session
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import BusChanged, Event
@@ -13,13 +15,16 @@ from tests.drivers.rig import World
 
 
 class WorldBus:
+    """A bus of the world in place of a CanBus; `sent` is called with each frame that the session sends."""
+
     def __init__(self, world: World, wiring: BusWiring) -> None:
         self.wiring, self.name = wiring, wiring.name
         self.events: deque[Event] = deque()
+        self.sent: Callable[[Frame], None] = lambda frame: None
         self._world = world
 
     def open(self) -> None:
-        self._world.after(0.0, lambda: None)
+        pass
 
     def close(self) -> None:
         self.events.clear()
@@ -30,6 +35,7 @@ class WorldBus:
         return events
 
     def send_frame(self, frame: Frame) -> str | None:
+        self.sent(frame)
         return self._world.buses[self.name].send_frame(frame)
 
 
@@ -37,6 +43,8 @@ class SessionInWorld(Session):
     """A session that takes the place of the world's master."""
 
     def __init__(self, world: World) -> None:
+        world.run(0.05)
+        world.stalled = False
         self.buses = {bus.name: WorldBus(world, bus) for bus in world.wiring.buses}
         self._world = world
         world.use(self)
@@ -51,9 +59,6 @@ class SessionInWorld(Session):
     def receive_event(self, event: Event, now: float) -> None:
         self.buses[event.bus].events.append(event)
 
-    def send_failed(self, bus: str, frame: Frame, now: float) -> None:
-        raise AssertionError(f"{bus}: a session sends by itself")
-
     def tick(self, now: float) -> None:
         pass
 
@@ -61,7 +66,10 @@ class SessionInWorld(Session):
         self.buses[bus].events.append(BusChanged(bus, "down", "it is down", None))
 
 
-def session(world: World, **changes: Any) -> SessionInWorld:
-    world.run(0.05)
-    world.stalled = False
-    return SessionInWorld(world)
+def checked(world: World, lose: str = "", **changes: object) -> list[CheckedBoard]:
+    """Checks the bus; `changes` of the wiring, `lose` is a bus that goes down."""
+    with SessionInWorld(world) as asking:
+        world.frames()
+        if lose:
+            asking.lose(lose)
+        return check_bus(asking, replace(world.wiring, **changes), world.timing)
