@@ -7,7 +7,6 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from hyperbit.drivers.canopen.wiring import Channel, Interlock, NodeWiring, Timing, WatchedObject
-from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.rig import World
 
 _NONE: Mapping[str, Any] = MappingProxyType({})
@@ -41,7 +40,7 @@ class Case(NamedTuple):
         """A master, and the board as can0/5 with two actuators: one with both end-stops, one without any."""
         far = 64 if self.variant == "many-outputs" else 1
         channels = [Channel("5.left", "can0", 5, 0, 0, input_contracted=1), Channel("5.right", "can0", 5, far, None)]
-        return World(channels, self.timing, variants={"can0/5": VARIANTS[self.variant]}, **self.options)
+        return World(channels, self.timing, variant=self.variant, **self.options)
 
 
 _CONTRACT, _HOLD, _OFF = {"on_loss": "contract"}, {"error_state": "hold"}, {"error_state": "off"}
@@ -144,3 +143,7 @@ CASES = (
     Case("blocking-error", (IN_VAIN, "error register 1001h sub 0 is 01h; 00h is needed", "1003h sub 1 is 00005000h")),
 )
 UNSEEN_WITHOUT_WRITING = frozenset({"no-sync", "deaf-error-mode"})  # `check --bus` writes present values only
+
+
+def case_of(name: str) -> Case:
+    return next(case for case in CASES if case.name == name)
