@@ -1,4 +1,7 @@
-"""START changes no pin: what 6200h gets before it, by the state in which the board is found and by its error mode."""
+"""START changes no pin: what 6200h gets before it, by the state in which the board is found and by its error mode.
+
+A refused board stays as it was found.
+"""
 
 from __future__ import annotations
 
@@ -7,264 +10,294 @@ from dataclasses import replace
 
 import pytest
 
-from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, State
+from hyperbit.drivers.canopen.wire.cia301 import NMT, SDO_ANSWER, Command, Frame, State
+from hyperbit.drivers.canopen.wiring import Channel
 from hyperbit.drivers.simulation import dictionary
-from hyperbit.drivers.simulation.variants import VARIANTS
-from tests.drivers.rig import Channel, World, one_board
+from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS, StandingError, Variant
+from tests.drivers.rig import World, one_board
 
-BOARD = {"can0/5": VARIANTS["standard"]}
+LEAVE_BOARD, LEAVE_ALL = (bytes([Command.PRE_OPERATIONAL, node]) for node in (5, 0))
+OF_THE_BOARD = (0x1001, 0x1003, 0x6000)  # values that a board sets itself
+DEAF_1029H = replace(STANDARD, deaf=frozenset({0x1029}))
+SENT_STAGED = bytes.fromhex("60006201")  # the board's answer to the first of two steps that write 6200h
 
 
 def extended(**options: object) -> World:
-    world = World(one_board(), **{"variants": BOARD, **options}).up()
+    """Both actuators are extended, and without the master their outputs go off."""
+    world = World(**{"on_loss": "contract", **options}).up()
     world.commit(1, 1, then=0.3)
-    lose_master(world)
     return world
 
 
-def lose_master(world: World) -> None:
-    world.stalled = True
-    world.run(1.0)
-    world.stalled = False
-    world.new_master()
+def refused(world: World) -> str:
+    [fault] = world.boot()
+    return fault.message
 
 
-def boot(world: World) -> list[str]:
-    world.master.boot(world.now)
-    world.until(lambda: not world.master.booting)
-    return [fault.message for fault in world.master.boot_faults]
-
-
-def outputs(world: World) -> int:
-    return world.boards.board("can0/5").objects.number(0x6200, 1)
-
-
-def test_outputs_that_the_error_state_switched_off_are_written_off_and_told():
-    world = extended(on_loss="contract")
-    assert world.boards.board("can0/5").state is State.STOPPED
-    assert boot(world) == []
-    assert outputs(world) == 0
-    told = [(fault.code, fault.message) for fault in world.master.warnings()]
+def test_outputs_that_the_error_state_switched_off_are_written_off_and_told() -> None:
+    world = extended()
+    world.lose_master()
+    assert world.board().state is State.STOPPED
+    assert world.boot() == []
+    assert world.outputs() == 0
     text = "can0/5: outputs may have been switched off by the board; written off before start"
-    assert told == [("outputs-off", text)]
-    assert boot(world) == []
-    assert world.master.warnings() == ()
+    assert [(fault.code, fault.message) for fault in world.master.warnings()] == [("outputs-off", text)]
+    assert world.boot() == []
+    assert world.warned() == []
 
 
-def held(*frames: tuple[int, bytes], after: float = 0.2, **options: object) -> World:
-    """An arm whose two actuators are extended; then another program sends frames, and the same master boots again."""
-    world = World(one_board(), **{"variants": BOARD, "on_loss": "contract", **options}).up()
+@pytest.mark.parametrize("inverted", [False, True])
+def test_what_a_running_master_has_commanded_stays_after_a_command_of_another_program(inverted: bool) -> None:
+    channels = [replace(it, inverted=frozenset({"output"} if inverted else ())) for it in one_board()]
+    world = World(channels, on_loss="contract").up()
     world.commit(1, 1, then=0.3)
-    for cob_id, data in frames:
-        world.say(cob_id, data)
-        world.run(0.02)
-    world.run(after)
-    assert boot(world) == []
+    before = world.outputs(), world.positions(), world.switches()
+    assert before[:2] == (0b00 if inverted else 0b11, [1.0, 1.0])
+    for data in (LEAVE_ALL, LEAVE_BOARD):
+        world.say(NMT, data)
+        world.run(0.2)
+    assert world.boot() == []
     world.run(0.5)
-    return world
+    assert (world.outputs(), world.positions(), world.switches()) == before
+    assert world.warned() == []
 
 
-def test_what_a_running_master_has_commanded_stays_on_after_a_command_of_another_program():
-    world = held((0, bytes([Command.PRE_OPERATIONAL, 0])), (0, bytes([Command.PRE_OPERATIONAL, 5])))
-    assert (outputs(world), world.positions(), world.switches()) == (0b11, [1.0, 1.0], [1, 1])
-    assert world.master.warnings() == ()
-
-
-def test_what_a_running_master_has_commanded_stays_also_at_inverted_outputs():
-    channels = [replace(channel, inverted=frozenset({"output"})) for channel in one_board()]
-    world = World(channels, variants=BOARD, on_loss="contract").up()
-    world.commit(1, 1, then=0.3)
-    assert (outputs(world), world.positions()) == (0, [1.0, 1.0])
-    world.say(*LEAVE)
-    world.run(0.2)
-    assert boot(world) == []
-    world.run(0.5)
-    assert (outputs(world), world.positions(), world.master.warnings()) == (0, [1.0, 1.0], ())
-
-
-LEAVE = (0, bytes([Command.PRE_OPERATIONAL, 5]))
+OFF_OUTSIDE = {"variant": "off-in-preoperational", "error_state": "off"}
 
 
 @pytest.mark.parametrize(
-    ("frames", "options"),
+    ("frames", "pause", "options"),
     [
-        *(
-            ([(0, bytes([command, board])) for command in (*commands, Command.PRE_OPERATIONAL)], {"after": 0.0})
-            for board in (0, 5)
-            for commands in ([Command.STOP], [Command.STOP, Command.START])
-        ),
-        ([LEAVE, (0x605, bytes.fromhex("2f00620101000000"))], {}),  # another program has written
-        ([LEAVE], {"variants": {"can0/5": VARIANTS["off-in-preoperational"]}, "error_state": "off"}),
-        ([LEAVE, (0x085, bytes.fromhex("1081110000000000"))], {}),  # it has lost its master meanwhile
-        ([LEAVE, (0x705, bytes([State.STOPPED]))], {}),
+        ([(NMT, bytes([Command.STOP, 0])), (NMT, LEAVE_ALL)], 0.0, {}),
+        ([(NMT, bytes([Command.STOP, 5])), (NMT, LEAVE_BOARD)], 0.0, {}),
+        ([(NMT, bytes([Command.STOP, 0])), (NMT, bytes([Command.START, 0])), (NMT, LEAVE_ALL)], 0.0, {}),
+        ([(NMT, bytes([Command.STOP, 5])), (NMT, bytes([Command.START, 5])), (NMT, LEAVE_BOARD)], 0.0, {}),
+        ([(NMT, LEAVE_BOARD), (0x605, bytes.fromhex("2f00620101000000"))], 0.2, {}),  # another program has written
+        ([(NMT, LEAVE_BOARD)], 0.2, OFF_OUTSIDE),
+        ([(NMT, LEAVE_BOARD), (0x085, bytes.fromhex("1081110000000000"))], 0.2, {}),  # it has lost its master meanwhile
+        ([(NMT, LEAVE_BOARD), (0x705, bytes([State.STOPPED]))], 0.2, {}),
     ],
 )
-def test_what_may_have_gone_off_or_was_written_meanwhile_is_written_off(frames, options):
-    world = held(*frames, **options)
-    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
-
-
-def test_the_outputs_of_a_board_that_was_lost_meanwhile_are_written_off():
-    world = World(one_board(), variants=BOARD, on_loss="contract").up()
-    world.commit(1, 1, then=0.3)
-    world.say(*LEAVE)
-    world.run(0.2)
-    world.lost = lambda bus, frame: frame.id == 0x705
-    world.run(1.0)
-    world.lost = lambda bus, frame: False
+def test_what_may_have_gone_off_or_was_written_meanwhile_is_written_off(
+    frames: list[tuple[int, bytes]], pause: float, options: dict[str, object]
+) -> None:
+    world = extended(**options)
+    for cob_id, data in frames:
+        world.say(cob_id, data)
+        world.run(0.02)
+    world.run(pause)
+    assert world.boot() == []
     world.run(0.5)
-    assert boot(world) == []
-    assert outputs(world) == 0
+    assert (world.outputs(), world.positions()) == (0, [0.0, 0.0])
 
 
-def test_outputs_that_a_failed_boot_has_written_off_are_told_by_the_next_one():
-    world = extended(on_loss="contract")
-    written = False
+@pytest.mark.parametrize("silent", [True, False], ids=["the board is lost", "the master stands still"])
+def test_what_nobody_has_heard_meanwhile_is_written_off(silent: bool) -> None:
+    world = extended()
+    world.say(NMT, LEAVE_BOARD)
+    world.run(0.2)
+    if silent:
+        world.lose(0x705)
+        world.run(1.0)
+        world.lose()
+        world.run(0.5)
+    else:
+        world.stall(1.0)
+        world.say(NMT, LEAVE_BOARD)
+    assert world.boot() == []
+    world.run(0.5)
+    assert (world.outputs(), world.positions()) == (0, [0.0, 0.0])
+
+
+def test_outputs_that_a_failed_boot_has_written_off_are_told_by_the_next_one() -> None:
+    world = extended()
+    world.lose_master()
+    written: list[Frame] = []
 
     def silent_afterwards(bus: str, frame: Frame) -> bool:
-        nonlocal written
-        written |= frame.data[:4] == bytes.fromhex("60006201")
-        return written and frame.id == 0x705
+        written.extend([frame] if frame.data[:4] == SENT_STAGED else [])
+        return bool(written) and frame.id == 0x705
 
     world.lost = silent_afterwards
-    assert "did not become operational" in boot(world)[0]
-    assert outputs(world) == 0
-    world.lost = lambda bus, frame: False
-    assert boot(world) == []
-    assert [fault.code for fault in world.master.warnings()] == ["outputs-off"]
+    assert "did not become operational" in refused(world)
+    assert world.outputs() == 0
+    world.lose()
+    assert world.boot() == []
+    assert world.warned() == ["outputs-off"]
 
 
-def test_a_master_that_stood_still_meanwhile_writes_off():
-    world = World(one_board(), variants=BOARD, on_loss="contract").up()
-    world.commit(1, 1, then=0.3)
-    world.say(0, bytes([Command.PRE_OPERATIONAL, 5]))
-    world.run(0.2)
-    world.stall(1.0)
-    world.say(0, bytes([Command.PRE_OPERATIONAL, 5]))
-    assert boot(world) == []
-    world.run(0.5)
-    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
-
-
-def test_a_board_that_takes_no_write_in_two_steps_gets_one():
+@pytest.mark.parametrize("abort", ["", "01000405"], ids=["no answer", "05040001h"])
+def test_a_board_that_takes_no_write_in_two_steps_gets_one(abort: str) -> None:
     channels = [Channel("5.left", "can0", 5, 0, None, on_loss="contract"), Channel("5.right", "can0", 5, 1, None)]
-    for abort in ("", "01000405"):  # no answer, or abort 05040001h
-        world = World(channels, variants=BOARD).up()
-        world.commit(1, 1, then=0.3)
-        lose_master(world)
-        world.lost = refusing(world, bytes.fromhex(abort))
-        assert boot(world) == []
-        assert (outputs(world), world.measured()) == (0b10, [0, 1])
-        asked = [data for cob_id, data in world.frames(sdo=True) if cob_id == 0x605 and data[3:11] == "00 62 01"]
-        assert [data[:2] for data in asked if data[:2] != "40"][:3] == ["21", "21", "2f"]
+    world = World(channels).up()
+    world.commit(1, 1, then=0.3)
+    world.lose_master()
+    refusals: list[Frame] = []
 
-
-def refusing(world: World, abort: bytes) -> Callable[[str, Frame], bool]:
-    """Lets the board refuse the first two writes of its outputs, which are in two steps; the third one is in one."""
-    refused = 0
-
-    def lost(bus: str, frame: Frame) -> bool:
-        nonlocal refused
-        if refused == 2 or frame.data[:4] != bytes.fromhex("60006201"):
+    def refuse(bus: str, frame: Frame) -> bool:
+        if len(refusals) == 2 or frame.data[:4] != SENT_STAGED:
             return False
-        refused += 1
+        refusals.append(frame)
         if abort:
-            world.say(0x585, b"\x80" + frame.data[1:4] + abort)
+            world.say(0x585, b"\x80" + frame.data[1:4] + bytes.fromhex(abort))
         return True
 
-    return lost
+    world.lost = refuse
+    assert world.boot() == []
+    assert (world.outputs(), world.measured()) == (0b10, [0, 1])
+    asked = [data for data in world.requests() if data[3:11] == "00 62 01" and data[:2] != "40"]
+    assert [data[:2] for data in asked][:3] == ["21", "21", "2f"]
 
 
-def test_no_entry_of_the_history_keeps_outputs_on():
-    variant = VARIANTS["no-error-mode-off"]
-    world = extended(variants={"can0/5": variant}, error_state="device")
-    board = world.boards.board("can0/5")
-    board.objects.set_number(0x1003, 1, 0x1B000000)  # the end of an error, as CANopenNode enters it
-    board.objects.set_number(0x1003, 2, 0x8130)
-    assert boot(world) == []
-    assert outputs(world) == 0
+def test_no_entry_of_the_history_keeps_outputs_on() -> None:
+    world = extended(variant="no-error-mode-off", on_loss="hold", error_state="device")
+    world.lose_master()
+    world.objects.set_number(0x1003, 1, 0x1B000000)  # the end of an error, as CANopenNode enters it
+    world.objects.set_number(0x1003, 2, 0x8130)
+    assert world.boot() == []
+    assert world.outputs() == 0
 
 
-def test_outputs_are_not_written_while_the_board_is_operational():
-    world = World(one_board(), on_loss="contract").up()
-    world.commit(1, 1, then=0.3)
-    world.wiring = replace(world.wiring, on_loss="hold")
-    world.new_master()
-    world.frames(sdo=True)
-    assert boot(world) == []
-    requests = [data for cob_id, data in world.frames(sdo=True) if cob_id == 0x605]
-    written = [data for data in requests if data[0] == "2" and data[3:8] == "00 62"]
-    assert (written, outputs(world), world.measured()) == ([], 0b11, [1, 1])
+def test_outputs_are_not_written_while_the_board_is_operational() -> None:
+    world = extended()
+    world.new_master(on_loss="hold")
+    world.frames()
+    assert world.boot() == []
+    assert not [data for data in world.requests() if data[0] == "2" and data[3:8] == "00 62"]
+    assert (world.outputs(), world.measured()) == (0b11, [1, 1])
 
 
-def stays_operational(world: World, behaviour: int = 1) -> list[int]:
-    """Lets a board with two coils on one actuator lose its master with a value of 1029h, then takes the new pins.
-
-    The coil that contracts is on in the error state, and the coil that extends is on in 6200h.
-    """
-    world.commit(1, 0, then=0.3)
-    board = world.boards.board("can0/5")
-    board.objects.set_number(0x1029, 1, behaviour)
-    lose_master(world)
-    assert (board.state, board.pins, outputs(world)) == (State.OPERATIONAL, 0b10, 0b01)
-    return watched(world)
-
-
-def watched(world: World) -> list[int]:
+def pins_of(world: World) -> list[int]:
     """Returns a list that takes the pins of the board, if they have changed, with each frame that it sends."""
-    board, pins = world.boards.board("can0/5"), [world.boards.board("can0/5").pins]
+    pins = [world.pins()]
 
     def watch(bus: str, frame: Frame) -> bool:
-        if board.pins != pins[-1]:
-            pins.append(board.pins)
+        pins.extend([world.pins()] if world.pins() != pins[-1] else [])
         return False
 
     world.lost = watch
     return pins
 
 
-COILS = [Channel("5.left", "can0", 5, 0, None, output_off=1, on_loss="contract")]
+def test_a_running_master_knows_that_an_operational_board_holds() -> None:
+    world = extended()
+    world.objects.set_number(0x1029, 1, 1)
+    pins = pins_of(world)
+    assert world.boot() == []
+    assert (pins, world.outputs(), world.measured()) == ([0b11], 0b11, [1, 1])
 
 
-def test_a_refused_board_in_its_error_state_switches_no_output_on():
-    world = World(COILS, variants=BOARD).up()
-    pins = stays_operational(world)
-    board = world.boards.board("can0/5")
-    board.variant = board.objects.variant = replace(board.variant, deaf=frozenset({0x1029}))
-    [sentence] = boot(world)
-    assert "1029h" in sentence
-    assert (pins, board.state, board.objects.number(0x6206, 1)) == ([0b10, 0], State.OPERATIONAL, 0xFF)
+def test_a_refused_board_in_its_error_state_switches_no_output_on() -> None:
+    """One coil contracts in the error state; 6200h has the other one on. 1029h = 1 leaves the board operational."""
+    channels = [Channel("5.left", "can0", 5, 0, None, output_off=1, on_loss="contract")]
+    world = World(channels, variant=replace(STANDARD, stored={(0x1029, 1): 2})).up()
+    world.commit(1, 0, then=0.3)
+    world.objects.set_number(0x1029, 1, 1)
+    world.objects.variant = DEAF_1029H
+    world.lose_master()
+    board = world.board()
+    assert (board.state, world.pins(), world.outputs()) == (State.OPERATIONAL, 0b10, 0b01)
+    pins = pins_of(world)
+    assert "1029h" in refused(world)
+    assert (pins, board.state, world.objects.number(0x6206, 1)) == ([0b10, 0], State.OPERATIONAL, 0xFF)
 
 
-def test_a_running_master_knows_that_an_operational_board_holds():
-    world = World(one_board(), variants=BOARD, on_loss="contract").up()
-    world.commit(1, 1, then=0.3)
-    world.boards.board("can0/5").objects.set_number(0x1029, 1, 1)
-    pins = watched(world)
-    assert boot(world) == []
-    assert (pins, outputs(world), world.measured()) == ([0b11], 0b11, [1, 1])
-
-
-def test_words_that_cannot_be_read_are_read_as_bytes():
+def test_words_that_cannot_be_read_are_read_as_bytes() -> None:
     words = {
         **dictionary.array(0x6300, [0] * 4, size=2, mappable=True, readable=False),
         **dictionary.pdo(0x1400, 0x200, [0x6300 << 16 | sub << 8 | 16 for sub in range(1, 5)], fixed=True),
     }
-    world = World(
-        [Channel("1.a", "can0", 5, 0, None)], variants={"can0/5": replace(VARIANTS["standard"], changes=words)}
-    )
-    world.boards.board("can0/5").objects.set_number(0x6200, 1, 1)
-    world.boards.board("can0/5").objects.set_number(0x6206, 1, 0)
-    world.boot()
-    assert (world.master.boot_faults, world.master.outputs) == ([], 1)
+    world = World([Channel("a", "can0", 5, 0, None)], variant=replace(STANDARD, changes=words))
+    world.objects.set_number(0x6200, 1, 1)
+    world.objects.set_number(0x6206, 1, 0)
+    assert (world.boot(), world.master.outputs) == ([], 1)
 
 
-def test_a_foreign_object_that_cannot_be_read_is_not_overwritten():
-    variant = VARIANTS["many-outputs"]
+def test_a_foreign_object_that_cannot_be_read_is_not_overwritten() -> None:
     mapped = dictionary.pdo(0x1400, 0x200, [0x62000108, 0x64110110], fixed=True)
-    variant = replace(variant, changes={**variant.changes, **mapped})
-    world = World(one_board(), variants={"can0/5": variant})
-    world.boards.board("can0/5").objects.refused[0x6411, 1] = 0x06010001
-    world.boot()
-    [fault] = world.master.boot_faults
-    assert fault.message.startswith("board can0/5 refuses to read 6411h sub 1")
+    variant = VARIANTS["many-outputs"]
+    world = World(variant=replace(variant, changes={**variant.changes, **mapped}))
+    world.objects.refused[0x6411, 1] = 0x06010001
+    assert refused(world).startswith("board can0/5 refuses to read 6411h sub 1")
+
+
+def values(world: World) -> dict[tuple[int, int], bytes]:
+    objects = world.objects
+    places = [(index, sub) for index, subs in objects.described.items() if index not in OF_THE_BOARD for sub in subs]
+    return {place: objects.value(*place) for place in places}
+
+
+def stops_after(world: World, answers: int) -> Callable[[str, Frame], bool]:
+    """Another program stops the board after a number of SDO answers; 0: never."""
+    heard: list[Frame] = []
+
+    def stop(bus: str, frame: Frame) -> bool:
+        if frame.id != SDO_ANSWER + 5:
+            return False
+        heard.append(frame)
+        if len(heard) == answers:
+            world.after(0.0, lambda: world.nmt(Command.STOP))
+        return False
+
+    return stop
+
+
+ERROR = replace(STANDARD, errors=(StandingError(0xFF00, 0x80),))
+DEAF = replace(VARIANTS["sync-period"], deaf=frozenset({0x1029}))
+
+
+@pytest.mark.parametrize(
+    ("variant", "words", "answers"),
+    [
+        (ERROR, "1001h sub 0 is 80h", 0),
+        (DEAF, "1029h", 0),
+        (DEAF, "1029h", 40),
+        (DEAF, "1029h", 43),
+        (DEAF, "1029h", 46),
+    ],
+)
+def test_a_refused_board_gets_its_objects_back_also_if_it_was_stopped_in_its_boot(
+    variant: Variant, words: str, answers: int
+) -> None:
+    world = World(variant=variant, on_loss="contract")
+    world.run(0.05)
+    before = values(world)
+    world.lost = stops_after(world, answers)
+    assert words in refused(world)
+    assert values(world) == before
+    assert world.board().state is State.PRE_OPERATIONAL
+
+
+def test_a_stopped_board_is_stopped_again_and_its_outputs_stay_off() -> None:
+    world = extended()
+    world.lose_master()
+    world.objects.refused[0x6005, 0] = 0x06060000
+    assert "6005h" in refused(world)
+    assert world.board().state is State.STOPPED
+    world.run(0.5)
+    assert world.positions() == [0.0, 0.0]
+
+
+def test_an_operational_board_is_operational_again_and_its_outputs_hold() -> None:
+    world = extended(on_loss="hold", variant=DEAF_1029H)
+    world.new_master(on_loss="contract")
+    before = values(world)
+    assert "1029h" in refused(world)
+    assert (world.board().state, world.positions()) == (State.OPERATIONAL, [1.0, 1.0])
+    assert values(world) == before
+
+
+def test_a_board_that_was_stopped_after_its_start_is_started_again() -> None:
+    world, stopped = World(), []
+
+    def watch() -> None:
+        if world.board().state is State.OPERATIONAL:
+            stopped.append(world.now)
+            world.nmt(Command.STOP)
+        else:
+            world.after(0.001, watch)
+
+    watch()
+    assert world.boot() == []
+    assert stopped
+    assert world.board().state is State.OPERATIONAL
