@@ -1,62 +1,73 @@
+"""The wiring: what contradicts itself, the layout of frames, and the load of an arm's own traffic, computed by hand."""
+
 from __future__ import annotations
 
 import pytest
 
 from hyperbit.drivers.canopen.boards.outputs import assemble
-from hyperbit.drivers.canopen.layout import Unfit, lay_out
+from hyperbit.drivers.canopen.layout import Layout, Unfit, lay_out, worst_case
 from hyperbit.drivers.canopen.pdo import Bit, Pdo, carries
+from hyperbit.drivers.canopen.wire.cia301 import wire_bits
 from hyperbit.drivers.canopen.wiring import BoardId, BusWiring, Channel, Timing, Wiring
 
-CAN0 = BusWiring("can0", "virtual", "x")
-NO_MORE = (None, None, frozenset(), None, None, None, None)  # from `output_off` to `on_loss`
+CAN0, CAN1 = BusWiring("can0", "virtual", "x"), BusWiring("can1", "virtual", "y")
+FAR = {"input_board": BoardId("can1", 2)}
+
+
+def laid_out(*channels: Channel, **options: object) -> Layout:
+    return lay_out(Wiring((CAN0, CAN1), channels, **options))
 
 
 @pytest.mark.parametrize(
-    ("channel", "words"),
+    ("place", "more", "words"),
     [
-        (("a", "can0", 0, 0, 0), "node 0 is not in 1..126"),
-        (("a", "can0", 127, 0, 0), "127 is the master"),
-        (("a", "can0", 1, 2032, 0), "output 2032 is not in 0..2031"),
-        (("a", "can0", 1, 0, -1), "input -1 is not in 0..2031"),
-        (("a", "can0", 1, 0, 1, *NO_MORE, BoardId("can0", 127)), "127 is the master"),
+        (("can0", 0, 0, 0), {}, "node 0 is not in 1..126"),
+        (("can0", 127, 0, 0), {}, "127 is the master"),
+        (("can0", 1, 2032, 0), {}, "output 2032 is not in 0..2031"),
+        (("can0", 1, 0, -1), {}, "input -1 is not in 0..2031"),
+        (("can0", 1, 0, 1), {"input_board": BoardId("can0", 127)}, "127 is the master"),
     ],
 )
-def test_a_channel_out_of_range_is_refused(channel, words):
+def test_a_channel_out_of_range_is_refused(
+    place: tuple[str, int, int, int], more: dict[str, BoardId], words: str
+) -> None:
     with pytest.raises(ValueError, match=words):
-        Channel(*channel)
+        Channel("a", *place, **more)
 
 
 @pytest.mark.parametrize(
     ("channels", "words"),
     [
-        ([("a", "can1", 1, 0, 0)], "bus can1 is not one of can0"),
-        ([("a", "can0", 1, 0, 0, *NO_MORE, BoardId("can1", 2))], "actuator a: bus can1 is not one of can0"),
-        ([("a", "can0", 1, 0, 0), ("a", "can0", 1, 1, 1)], "actuator a is there twice"),
-        ([("a", "can0", 1, 0, 0), ("b", "can0", 1, 0, 1)], "output can0/1 output 0 is there twice"),
-        ([("a", "can0", 1, 0, 0), ("b", "can0", 1, 1, 0)], "input can0/1 input 0 is there twice"),
+        ([Channel("a", "can1", 1, 0, 0)], "bus can1 is not one of can0"),
+        ([Channel("a", "can0", 1, 0, 0, **FAR)], "actuator a: bus can1 is not one of can0"),
+        ([Channel("a", "can0", 1, 0, 0), Channel("a", "can0", 1, 1, 1)], "actuator a is there twice"),
+        ([Channel("a", "can0", 1, 0, 0), Channel("b", "can0", 1, 0, 1)], "output can0/1 output 0 is there twice"),
+        ([Channel("a", "can0", 1, 0, 0), Channel("b", "can0", 1, 1, 0)], "input can0/1 input 0 is there twice"),
     ],
 )
-def test_a_wiring_that_contradicts_itself_is_refused(channels, words):
+def test_a_wiring_that_contradicts_itself_is_refused(channels: list[Channel], words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        Wiring((CAN0,), tuple(Channel(*c) for c in channels))
+        Wiring((CAN0,), tuple(channels))
 
 
 @pytest.mark.parametrize(
-    "times", [{"heartbeat": 0}, {"heartbeat": 0.4}, {"heartbeat_timeout": 70}, {"travel_time": -1}]
+    "times", [{"heartbeat": 0}, {"heartbeat": 0.4}, {"heartbeat_timeout": 70}, {"travel_time": -1}], ids=str
 )
-def test_times_out_of_range_are_refused(times):
+def test_times_out_of_range_are_refused(times: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(times))):
         Timing(**times)
 
 
-def test_the_layout_follows_the_wiring_not_its_order():
-    channels = (Channel("b", "can0", 9, 12, 3), Channel("a", "can0", 2, 0, None), Channel("c", "can0", 9, 1, 40))
-    layout = lay_out(Wiring((CAN0,), channels))
+def test_the_layout_follows_the_wiring_not_its_order() -> None:
+    layout = laid_out(
+        Channel("b", "can0", 9, 12, 3),
+        Channel("a", "can0", 2, 0, None),
+        Channel("c", "can0", 9, 1, 40),
+    )
     left, right = layout.boards
-    assert [b.name for b in layout.boards] == ["can0/2", "can0/9"]
-    assert (left.outputs, left.inputs, left.tpdos) == ((Bit(0b010, 1, False),), (), ())
+    assert (left.name, left.outputs, left.inputs, left.tpdos) == ("can0/2", (Bit(0b010, 1, False),), (), ())
     assert (left.actuators, left.sensed) == (0b010, 0)
-    assert right.outputs == (Bit(0b001, 1 << 12, False), Bit(0b100, 1 << 1, False))
+    assert (right.name, right.outputs) == ("can0/9", (Bit(0b001, 1 << 12, False), Bit(0b100, 1 << 1, False)))
     assert right.inputs == (Bit(0b001, 1 << 3, False), Bit(0b100, 1 << 40, False))
     assert (right.actuators, right.sensed) == (0b101, 0b101)
     assert right.rpdos == (Pdo(0x1400, 0x209, (0x62000108, 0x62000208)),)
@@ -65,23 +76,21 @@ def test_the_layout_follows_the_wiring_not_its_order():
     assert layout.board_of == (1, 0, 1)
 
 
-def test_end_stops_may_be_on_other_boards_and_other_buses():
+def test_end_stops_may_be_on_other_boards_and_other_buses() -> None:
     far, near = BoardId("can1", 3), BoardId("can0", 4)
-    channels = (
+    layout = laid_out(
         Channel("a", "can0", 2, 0, 5, input_contracted=6, input_board=far, input_contracted_board=near),
         Channel("b", "can0", 2, 1, 6, input_board=far),
         Channel("c", "can0", 4, 1, 1),
         Channel("d", "can0", 2, 2, None),
     )
-    wiring = Wiring((CAN0, BusWiring("can1", "virtual", "y")), channels)
-    assert wiring.boards == (("can0", 2), ("can0", 4), ("can1", 3))
-    layout = lay_out(wiring)
     outputs, both, inputs = layout.boards
-    assert (outputs.name, outputs.inputs, outputs.tpdos) == ("can0/2", (), ())
+    assert [board.name for board in layout.boards] == ["can0/2", "can0/4", "can1/3"]
+    assert (outputs.inputs, outputs.tpdos) == ((), ())
     assert (outputs.actuators, outputs.sensed) == (0b1011, 0b0011), "a and b have end-stops, elsewhere"
     assert both.inputs == (Bit(0b100, 1 << 1, False), Bit(0b10000, 1 << 6, False))
     assert (both.actuators, both.sensed) == (0b0101, 0b0100)
-    assert (inputs.name, inputs.outputs, inputs.rpdos, inputs.output_bits) == ("can1/3", (), (), 0)
+    assert (inputs.outputs, inputs.rpdos, inputs.output_bits) == ((), (), 0)
     assert inputs.inputs == (Bit(0b0001, 1 << 5, False), Bit(0b0010, 1 << 6, False))
     assert (inputs.actuators, inputs.sensed, inputs.input_lines) == (0b0011, 0, 0b0011)
     assert [pdo.cob_id for pdo in inputs.tpdos] == [0x183]
@@ -89,16 +98,13 @@ def test_end_stops_may_be_on_other_boards_and_other_buses():
     assert layout.input_boards_of == ((1, 2), (2,), (1,), ())
 
 
-def test_a_board_knows_the_two_outputs_of_each_pair():
-    channels = (
+def test_a_board_knows_the_two_outputs_of_each_pair() -> None:
+    layout = laid_out(
         Channel("a", "can0", 2, 9, None, output_off=3),
         Channel("b", "can0", 2, 0, None),
         Channel("c", "can0", 3, 4, None, output_off=5),
     )
-    assert [board.pairs for board in lay_out(Wiring((CAN0,), channels)).boards] == [
-        ((1 << 9, 1 << 3),),
-        ((1 << 4, 1 << 5),),
-    ]
+    assert [board.pairs for board in layout.boards] == [((1 << 9, 1 << 3),), ((1 << 4, 1 << 5),)]
 
 
 @pytest.mark.parametrize(
@@ -111,39 +117,73 @@ def test_a_board_knows_the_two_outputs_of_each_pair():
         ({"output_off": 1, "pulse": 0.05, "on_loss": "hold"}, True),
     ],
 )
-def test_a_board_knows_whether_its_loss_levels_are_all_off(channel, off):
-    [board] = lay_out(Wiring((CAN0,), (Channel("a", "can0", 2, 0, None, **channel),), on_loss="contract")).boards
+def test_a_board_knows_whether_its_loss_levels_are_all_off(channel: dict[str, object], off: bool) -> None:
+    [board] = laid_out(Channel("a", "can0", 2, 0, None, **channel), on_loss="contract").boards
     assert board.loss_is_off is off
 
 
-def test_outputs_beyond_the_first_64_are_in_further_pdos():
-    channels = tuple(Channel(f"{k}", "can0", 2, k, k) for k in range(0, 140, 4))
-    [board] = lay_out(Wiring((CAN0,), channels)).boards
+def test_outputs_beyond_the_first_64_are_in_further_pdos_up_to_four() -> None:
+    [board] = laid_out(*(Channel(f"{k}", "can0", 2, k, k) for k in range(0, 140, 4))).boards
     assert [(pdo.parameters, pdo.cob_id, len(pdo.mapping)) for pdo in board.rpdos] == [
         (0x1400, 0x202, 8),
         (0x1401, 0x302, 8),
         (0x1402, 0x402, 2),
     ]
     assert [pdo.cob_id for pdo in board.tpdos] == [0x182, 0x282, 0x382]
-    frames = assemble([board], {0: board.rpdos})
-    assert sum(frame.lines for frame in frames) == (1 << 35) - 1
+    assert sum(frame.lines for frame in assemble([board], {0: board.rpdos})) == (1 << 35) - 1
+    with pytest.raises(Unfit, match="can0/2: its outputs are in 33 bytes; 32 fit in four PDOs") as outputs:
+        laid_out(*(Channel(f"{k}", "can0", 2, 8 * k, None) for k in range(33)))
+    assert (outputs.value.board, outputs.value.kind, outputs.value.byte) == (("can0", 2), "output", 32)
+    bytes_used = [*range(40, 70), 0, 1, 2]
+    with pytest.raises(Unfit, match="can0/2: its inputs are in 33 bytes; 32 fit in four PDOs") as inputs:
+        laid_out(*(Channel(f"{k}", "can0", 2, k, 8 * byte) for k, byte in enumerate(bytes_used)))
+    assert (inputs.value.kind, inputs.value.byte) == ("input", 69)
 
 
-def test_more_outputs_than_four_pdos_carry_are_refused():
-    channels = tuple(Channel(f"{k}", "can0", 2, 8 * k, None) for k in range(33))
-    with pytest.raises(Unfit, match="can0/2: its outputs are in 33 bytes; 32 fit in four PDOs") as caught:
-        lay_out(Wiring((CAN0,), channels))
-    assert (caught.value.board, caught.value.kind, caught.value.byte) == (("can0", 2), "output", 32)
-
-
-def test_more_inputs_than_four_pdos_carry_are_refused():
-    inputs = [*range(40, 70), 0, 1, 2]
-    channels = tuple(Channel(f"{k}", "can0", 2, k, 8 * byte) for k, byte in enumerate(inputs))
-    with pytest.raises(Unfit, match="can0/2: its inputs are in 33 bytes; 32 fit in four PDOs") as caught:
-        lay_out(Wiring((CAN0,), channels))
-    assert (caught.value.kind, caught.value.byte) == ("input", 69)
-
-
-def test_mappings_of_bits_words_and_double_words_carry_the_same_outputs():
+def test_mappings_of_bits_words_and_double_words_carry_the_same_outputs() -> None:
     assert carries((0x62200101, 0x62200301, 0x00050008, 0x63000210), 0x6200) == [(0, 0, 1), (2, 1, 1), (16, 10, 16)]
     assert carries((0x22010108, 0x62000108), 0x2201) == [(0, 0, 8)]
+
+
+# The load.
+
+TIMING = Timing(heartbeat=0.1, travel_time=0.05)
+
+
+@pytest.mark.parametrize(("size", "bits"), [(0, 55), (1, 65), (2, 75), (6, 115), (8, 135)])
+def test_bits_on_the_wire(size: int, bits: int) -> None:
+    """The upper bound of Davis, Burns, Bril and Lukkien for a frame of 8 bytes is 135."""
+    assert wire_bits(size) == bits == 8 * size + 44 + (34 + 8 * size - 1) // 4 + 3
+
+
+@pytest.mark.parametrize(
+    ("shared", "rpdos", "load"),
+    [
+        (False, 163_800, 0.73885),  # 126 frames of 65 bits, 20 times a second
+        (True, 42_800, 0.61785),  # 15 frames of 8 bytes and one of 6: 15 x 135 + 115 bits, 20 times a second
+    ],
+)
+def test_a_full_bus(shared: bool, rpdos: int, load: float) -> None:
+    """127 nodes, as many as a bus can have: the master and 126 boards of three actuators with end-stops."""
+    channels = (Channel(f"{node}.{k}", "can0", node, k, k) for node in range(1, 127) for k in range(3))
+    traffic = worst_case(laid_out(*channels, shared_rpdo=shared), TIMING, CAN0)
+    assert traffic.heartbeats == pytest.approx(82_550)  # 127 nodes, 65 bits, 10 times a second
+    assert traffic.sync == pytest.approx(1_100)  # 55 bits, 20 times a second
+    assert traffic.rpdos == pytest.approx(rpdos)
+    assert traffic.tpdos == pytest.approx(491_400)  # 378 end-stops, 65 bits, 20 times a second
+    assert traffic.load == pytest.approx(load)
+
+
+def test_each_bus_has_its_own_boards_end_stops_and_bit_rate() -> None:
+    buses = (BusWiring("a", "virtual", "a", 250_000), BusWiring("b", "virtual", "b"), BusWiring("c", "virtual", "c"))
+    channels = (
+        Channel("1", "a", 1, 0, 0, input_board=BoardId("c", 1)),
+        Channel("2", "b", 1, 0, 0),
+        Channel("3", "b", 1, 9, 9),
+    )
+    layout = lay_out(Wiring(buses, channels))
+    a, b, c = (worst_case(layout, TIMING, bus) for bus in buses)
+    assert (a.heartbeats, a.sync, a.rpdos, a.tpdos) == pytest.approx((1300, 1100, 1300, 0))
+    assert a.load == pytest.approx(3700 / 250_000)
+    assert (b.rpdos, b.tpdos) == pytest.approx((1500, 3000))  # two bytes each; two end-stops
+    assert (c.sync, c.rpdos, c.tpdos) == pytest.approx((0, 0, 1300))
