@@ -35,46 +35,6 @@ def test_the_simulated_board_lacks_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("section", "change", "says", "needed"),
-    [
-        (
-            "1000",
-            "DefaultValue=0x00030192",
-            "1000h sub 0: the EDS says AccessType=ro",
-            "not the profile 0191h of CiA 401",
-        ),
-        ("6200sub1", "AccessType=wo", "6200h sub 1: the EDS says AccessType=wo, PDOMapping=1", "refuses to read 6200h"),
-        ("1016sub1", "AccessType=ro", "1016h sub 1: the EDS says AccessType=ro", "007F015Eh is needed"),
-        ("1017", "", "1017h sub 0: the EDS says nothing of it", "nor 100Ch and 100Dh (node guarding)"),
-        ("1017", "HighLimit=50", "1017h sub 0: the EDS says AccessType=rw", "value too high (abort 06090031h)"),
-        ("1017", "LowLimit=500", "1017h sub 0: the EDS says AccessType=rw", "value too low (abort 06090032h)"),
-        ("6206sub1", "AccessType=ro", "6206h sub 1: the EDS says AccessType=ro", "F7h is needed, which it refuses"),
-        ("6005", "DataType=0x0006", "6005h sub 0: the EDS says AccessType=rw", "answers 2 bytes to 6005h sub 0; 1 are"),
-    ],
-)
-def test_each_lack_is_told_with_what_is_needed(tmp_path, section, change, says, needed):
-    [told] = found(tmp_path, (section, change))
-    assert told.startswith(says)
-    assert needed in told
-
-
-@pytest.mark.parametrize(
-    ("section", "change"),
-    [
-        ("1000", "DefaultValue=0x000F0191"),
-        ("1005", "DefaultValue=0x85"),
-        ("1400sub2", "AccessType=const"),
-        ("1800sub2", "DefaultValue=1"),
-        ("1600sub0", "AccessType=ro"),  # what it maps as delivered suffices
-        ("DeviceInfo", "Granularity=0"),  # likewise
-        ("1017", "LowLimit=100"),
-    ],
-)
-def test_what_the_boot_accepts_is_no_lack(tmp_path, section, change):
-    assert found(tmp_path, (section, change)) == []
-
-
-@pytest.mark.parametrize(
     ("it", "bit", "change", "told"),
     [
         (WatchedObject(0x1002, 0), 0, "", "1002h sub 0: the EDS says nothing of it; the board has no 1002h sub 0; an"),

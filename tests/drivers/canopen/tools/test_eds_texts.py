@@ -118,11 +118,24 @@ FITS: dict[str, Change] = {
     ),
     "UTF-8 with a mark": lambda text: "\ufeff" + text,
     "zeros at the end": lambda text: text + "\0\0\0",
+    "all bits of the device type": put("1000", "DefaultValue=0x000F0191"),
+    "another SYNC, which can be written": put("1005", "DefaultValue=0x85"),
+    "a transmission type of its RPDO that cannot be written": put("1400sub2", "AccessType=const"),
+    "a TPDO on SYNC": put("1800sub2", "DefaultValue=1"),
+    "a read-only mapping that suffices": put("1600sub0", "AccessType=ro"),
+    "no mapping but what is delivered": put("DeviceInfo", "Granularity=0"),
+    "a limit that the heartbeat keeps": put("1017", "LowLimit=100"),
 }
 
 LACKS: dict[str, tuple[Change, str]] = {
+    "outputs that cannot be read": (put("6200sub1", "AccessType=wo"), "refuses to read 6200h sub 1"),
+    "a read-only consumer": (put("1016sub1", "AccessType=ro"), "007F015Eh is needed"),
+    "no heartbeat": (drop("1017"), "1017h sub 0: the EDS says nothing of it"),
+    "a limit too high": (put("1017", "LowLimit=500"), "value too low (abort 06090032h)"),
+    "a read-only error mode": (put("6206sub1", "AccessType=ro"), "6206h sub 1: the EDS says AccessType=ro"),
+    "a wrong type": (put("6005", "DataType=0x0006"), "answers 2 bytes to 6005h sub 0; 1 are"),
     "a limit in another case": (put("1017", "Highlimit=0x10"), "1017h sub 0"),
-    "a limit too low": (put("1017", "HighLimit=50"), "value too high"),
+    "a limit too low": (put("1017", "HighLimit=50"), "value too high (abort 06090031h)"),
     "a fixed mapping in another case": (
         both(
             put("DeviceInfo", "Granularity=0"), swap("[DeviceInfo]", "[deviceinfo]"), put("1600sub0", "DefaultValue=1")
