@@ -146,9 +146,10 @@ class OutputSwitching:
         if self._refusal(off) or commit.refusal(keys):
             return
         # A SYNC would also switch a lost board that is operational and has latched a frame. So a lost board leaves
-        # operational first, unless it has lines that go off: such a board gets its frame like a ready one.
+        # operational first, unless it has lines that go off now, or pulses that end later: it gets its frame.
         here = [board for board in self._boards if board.link is commit.link]
-        left_out = {b.index: b.layout.node for b in here if not b.ready and not b.layout.output_lines & off}
+        needed = off | states & self._outputs.pulsed
+        left_out = {b.index: b.layout.node for b in here if not b.ready and not b.layout.output_lines & needed}
         orders = [cia301.command(Command.PRE_OPERATIONAL, node) for node in left_out.values()]
         keys = [key for key in keys if not self._outputs.frames[key].boards <= left_out.keys()]
         self._stage = [other for other in self._stage if other is not commit]
