@@ -58,19 +58,19 @@ class LssSlave:
             right = 1 <= data[1] <= 127 or data[1] == UNCONFIGURED
             if right:
                 self.pending = data[1], self.pending[1]
-            self._answer(bytes((command, 0 if right else _OUT_OF_RANGE)))
+            self.answer(bytes((command, 0 if right else _OUT_OF_RANGE)))
         elif command == _BIT_TIMING:
             right = data[1] == 0 and data[2] in _TIMINGS
             if right:
                 self.pending = self.pending[0], data[2]
-            self._answer(bytes((command, 0 if right else _OUT_OF_RANGE)))
+            self.answer(bytes((command, 0 if right else _OUT_OF_RANGE)))
         elif command == _STORE:
             self.stored = self.pending
-            self._answer(bytes((command, 0)))
+            self.answer(bytes((command, 0)))
         elif command in _INQUIRE:
-            self._answer(struct.pack("<BI", command, self._identity[_INQUIRE.index(command)]))
+            self.answer(struct.pack("<BI", command, self._identity[_INQUIRE.index(command)]))
         elif command == _INQUIRE_NODE_ID:
-            self._answer(bytes((command, self.node)))
+            self.answer(bytes((command, self.node)))
 
     def _select(self, part: int, number: int) -> None:
         if self.state == CONFIGURATION:
@@ -78,7 +78,7 @@ class LssSlave:
         self._selected = part + 1 if self._selected == part and number == self._identity[part] else 0
         if self._selected == len(_SELECT):
             self.state, self._selected = CONFIGURATION, 0
-            self._answer(bytes((_SWITCHED,)))
+            self.answer(bytes((_SWITCHED,)))
 
     def scan(self, number: int, bit: int, part: int, following: int) -> None:
         """Answers if the bits from `bit` on match; a slave that did not match stays silent until the next scan."""
@@ -86,13 +86,13 @@ class LssSlave:
             return
         if bit == _ALL_BITS:
             self._scanned = 0
-            self._answer(bytes((_IDENTIFIED,)))
+            self.answer(bytes((_IDENTIFIED,)))
         elif part == self._scanned < len(_SELECT) and bit < 32 and number >> bit == self._identity[part] >> bit:
             if bit == 0 and following != part:
                 self._scanned = following
                 if following < part:
                     self.state = CONFIGURATION
-            self._answer(bytes((_IDENTIFIED,)))
+            self.answer(bytes((_IDENTIFIED,)))
 
-    def _answer(self, data: bytes) -> None:
+    def answer(self, data: bytes) -> None:
         self._send(ANSWER, data.ljust(8, b"\0"))

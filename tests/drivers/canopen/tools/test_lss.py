@@ -22,7 +22,7 @@ class CanopenNodeSlave(LssSlave):
 
     def scan(self, *request: int) -> None:
         if self.state:
-            self._answer(b"\x4f")
+            self.answer(b"\x4f")
         else:
             super().scan(*request)
 
