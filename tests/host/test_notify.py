@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hyperbit.controller.host.notify import Notifier
+from hyperbit.controller.host.notify import FIRST, Notifier
 
 
 @pytest.fixture(params=["path", "abstract"])
@@ -61,8 +61,7 @@ def test_systemd_gets_a_file_to_keep_and_gives_it_back(systemd: socket.socket, m
         file.write(b"7 switches")
         data, (kept,), _, _ = socket.recv_fds(systemd, 4096, 1)
     assert data == b"FDSTORE=1\nFDNAME=counts"
-    monkeypatch.setattr("hyperbit.controller.host.notify.FIRST", kept - 1)
-    monkeypatch.setenv("LISTEN_FDNAMES", "other:counts")
+    monkeypatch.setenv("LISTEN_FDNAMES", "other:" * (kept - FIRST) + "counts")
     monkeypatch.setenv("LISTEN_PID", str(os.getpid()))
     with Notifier().kept_file("counts") as file:
         file.seek(0)

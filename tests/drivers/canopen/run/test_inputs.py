@@ -94,6 +94,7 @@ def test_an_answer_is_newer_than_what_came_before_and_older_than_a_tpdo_after_it
     board.set_input(2, 0)
     assert image.ends == 0b10
     board.begin_input_read()
+    board.receive_frame(0x185, b"\x00", 0.0)
     board.set_input(2, 0)
     assert image.ends == 0
 

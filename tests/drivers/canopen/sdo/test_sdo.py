@@ -171,6 +171,13 @@ def test_answers_that_are_long_overdue_are_expected_no_more():
     assert (counts[0], counts[-1]) == (3, 1)
 
 
+def test_late_answers_to_a_read_that_was_given_up_do_not_count_for_the_next_one():
+    late, present = b"\x4f\x00\x62\x01\x01\0\0\0", b"\x4f\x00\x62\x01\x02\0\0\0"
+    line = Line([], [], [], [late], [late], [late], *[[present]] * 3)
+    assert line.run(objects.read("can0/5", 0x6200, 1)).code == "board-missing"
+    assert line.run(objects.read("can0/5", 0x6200, 1, fresh=True)) == 2
+
+
 def test_a_slow_board_is_given_more_time():
     slow = [[TYPE]]
     line = Line([], *slow, [], [b"\x4f\x00\x62\x01\x07\0\0\0"])
