@@ -17,14 +17,14 @@ class Agenda:
     def __init__(self) -> None:
         self.now = 1000.0
         self.steps = 0
-        self._entries: list[tuple[float, int, Callable[[], None]]] = []
+        self._entries: list[tuple[float, int, Callable[[], object]]] = []
         self._number = 0
 
-    def after(self, delay: float, happen: Callable[[], None]) -> None:
+    def after(self, delay: float, happen: Callable[[], object]) -> None:
         """Schedules an event after a delay [s]."""
         self.at(self.now + delay, happen)
 
-    def at(self, time: float, happen: Callable[[], None]) -> None:
+    def at(self, time: float, happen: Callable[[], object]) -> None:
         """Schedules an event at a time, or now if the time has passed [s]."""
         self._number += 1
         heapq.heappush(self._entries, (max(time, self.now), self._number, happen))

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from hyperbit.drivers.canopen.wiring import Channel
-from tests.drivers.enumeration.rig import BUS, NODE
+from tests.drivers.enumeration.bench import BUS, NODE
 from tests.drivers.variants.cases import Case
 
 ONE_INVERTED, BOTH_INVERTED = frozenset({"output"}), frozenset({"output", "output_off"})

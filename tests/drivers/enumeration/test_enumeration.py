@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tests.drivers.enumeration.histories import HISTORIES, SLOW
+from tests.drivers.enumeration.bench import HISTORIES, SLOW
 from tests.drivers.enumeration.mixed import MIXED
-from tests.drivers.enumeration.releases import Releases
 from tests.drivers.enumeration.trials import Verdict, run, trials
 from tests.drivers.variants.cases import CASES, Case
 
@@ -45,10 +44,3 @@ def test_the_command_that_ends_an_error_state_may_be_lost():
 def require_unbroken(verdicts: list[tuple[str, Verdict]]) -> None:
     broken = [f"{name}: {sentence}" for name, verdict in verdicts for sentence in verdict.broken]
     assert not broken, "\n".join(broken[:10])
-
-
-@pytest.mark.parametrize("seed", [56, 66, 115, 375, 395, 1318, 1401, 1404, *range(24)])
-def test_a_release_in_a_boot_with_two_faults_switches_nothing_else(seed: int):
-    trial = Releases(seed)
-    trial.play()
-    assert not trial.broken, "\n".join(trial.story[-40:])

@@ -29,7 +29,6 @@ class BoardSide(AttachedBoards):
         names: mask of the actuators of each board, by the board's name.
         silent: whether a board is disconnected from its bus.
         opened: names of the open interlocks.
-        loses: a board and the function code of a frame, of which it loses the next one; None: it loses none.
     """
 
     def __init__(
@@ -50,7 +49,6 @@ class BoardSide(AttachedBoards):
             self.names[name] = self.names.get(name, 0) | 1 << k
             self._masks[channel.bus] |= 1 << k
         self.silent = False
-        self.loses: tuple[str, int] | None = None
         self._record, self._judge, self._account = record, judge, account
         self._read = True  # whether end-stops may have changed
         self._paired = sum(1 << k for k in wiring.paired)
@@ -125,27 +123,12 @@ class BoardSide(AttachedBoards):
         """Takes a sent frame of the executor; `lost` if the boards do not receive it."""
         frame = sent.frame
         boards = {name: mask for name, mask in self.names.items() if name.split("/")[0] == bus}
-        deaf = self._deaf_to(frame)
+        deaf = self.deaf_to(bus, frame)
         missing = sum(mask for name, mask in boards.items() if lost or name == deaf or not self.takes_part(name))
         self._record.arrives(bus, frame, missing)
         self._account.leaves(bus, frame, missing)
-        if lost:
-            return
-        if deaf is not None:
-            self.simulated.silence(deaf)
-        self.receive(bus, frame, _words(frame), sent.belongs_to)
-        if deaf is not None:
-            self.simulated.unsilence(deaf)
-
-    def _deaf_to(self, frame: Frame) -> str | None:
-        """Returns the board that loses a frame which all others receive."""
-        if self.loses is None:
-            return None
-        board, function = self.loses
-        if frame.id not in (function, function + int(board.split("/")[1])):
-            return None
-        self.loses = None
-        return board
+        if not lost:
+            self.receive(bus, frame, _words(frame), sent.belongs_to)
 
     def hear_tool(self, bus: str, frame: Frame) -> None:
         """Takes a frame of another program; its effects are faults."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wiring import Timing, Wiring
@@ -13,7 +14,11 @@ from tests.simulation.agenda import Agenda
 
 
 class AttachedBoards:
-    """All boards of an arm, with power."""
+    """All boards of an arm, with power.
+
+    Attributes:
+        loses: a board and the function code of a frame, of which it loses the next one; None: it loses none.
+    """
 
     def __init__(
         self,
@@ -23,6 +28,7 @@ class AttachedBoards:
         agenda: Agenda,
         send: Callable[[str, Frame], None],
     ) -> None:
+        self.loses: tuple[str, int] | None = None
         self.simulated = SimulatedBuses(wiring, timing, send, variants)
         self._agenda, self._timer = agenda, float("inf")
         self.step()
@@ -36,11 +42,27 @@ class AttachedBoards:
         """
 
     def receive(self, bus: str, frame: Frame, cause: str = "frame", belongs_to: object = None) -> None:
-        self.simulated.step(self._agenda.now)
-        self.see("time")
+        if self.simulated.next_due() <= self._agenda.now:
+            self.simulated.step(self._agenda.now)
+            self.see("time")
+        deaf = self.deaf_to(bus, frame)
+        if deaf is not None:
+            self.loses = None
+            board = self.simulated.board(deaf)
+            silent, board.silent = board.silent, True
         self.simulated.receive(bus, frame, self._agenda.now)
+        if deaf is not None:
+            board.silent = silent
         self.see(cause, belongs_to)
         self.set_timer()
+
+    def deaf_to(self, bus: str, frame: Frame) -> str | None:
+        """Returns the board that loses a frame which all others receive."""
+        if self.loses is None:
+            return None
+        board, function = self.loses
+        heard = board.startswith(f"{bus}/") and frame.id in (function, function + int(board.split("/")[1]))
+        return board if heard else None
 
     def fault(self, verb: str, name: str, *numbers: float | str) -> None:
         self.step()
@@ -57,7 +79,7 @@ class AttachedBoards:
         due = self.simulated.next_due()
         if due < self._timer - 1e-12:
             self._timer = due
-            self._agenda.at(due, lambda: self._ring(due))
+            self._agenda.at(due, partial(self._ring, due))
 
     def _ring(self, due: float) -> None:
         if due == self._timer:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from random import Random
 from typing import NamedTuple
 
@@ -13,9 +14,19 @@ from tests.simulation.agenda import Agenda
 
 MAILBOXES = 3  # of the controller; frames in them compete by identifier
 CAPACITY = 13  # frames in mailboxes and queue; Linux gives a CAN interface a queue of 10 frames
+LATE = 0.03  # [s]
 SDO_ANSWER, HEARTBEAT, MASTER_HEARTBEAT = 0x580, 0x700, 0x77F
 RPDOS = range(0x200, 0x580, 0x100)  # function codes of RPDO 1 to 4
 TPDOS = range(0x180, 0x580, 0x100)  # function codes of TPDO 1 to 4
+
+
+def nothing() -> None:
+    """Is what happens at an RPDO or SYNC of which nobody waits."""
+
+
+def pass_on(frame: Frame) -> str:
+    """Lets each frame pass."""
+    return ""
 
 
 class OnItsWay(NamedTuple):
@@ -45,6 +56,8 @@ class BusModel:
         duplication: share of the frames that their receiver gets twice.
         answer_delay: longest delay of the boards' SDO answers [s].
         mute: whether the boards' SDO answers are lost.
+        intercept: called with each frame to or from a board; returns "" to let it pass, "lose", "twice" or "late".
+        late: delay of a frame of a board that comes "late" [s].
         tpdos_to_lose: number of the next TPDOs that are lost.
         echo_lost_at: time of the last lost echo [s].
         echo_owed: whether the echoes of a command and of the heartbeats after it were lost.
@@ -71,7 +84,9 @@ class BusModel:
         self._agenda, self._random = agenda, random
         self._to_boards, self._to_executor = to_boards, to_executor
         self._at_rpdo: list[Callable[[], None]] = []
-        self._at_sync: Callable[[], None] = lambda: None
+        self._at_sync: Callable[[], None] = nothing
+        self.intercept: Callable[[Frame], str] = pass_on
+        self.late = LATE
         self._queue: deque[OnItsWay] = deque()  # of the executor; the first ones are in the mailboxes
         self._others: deque[Frame] = deque()
         self._echoes_to_lose, self._loses_syncs = 0, False  # of the next RPDOs or SYNCs
@@ -105,7 +120,7 @@ class BusModel:
             for happen in due:
                 happen()
         if frame.id == SYNC:
-            happen, self._at_sync = self._at_sync, lambda: None
+            happen, self._at_sync = self._at_sync, nothing
             happen()
         self._queue.append(OnItsWay(frame, belongs_to))
         self.begin()
@@ -123,7 +138,7 @@ class BusModel:
         if self.tpdos_to_lose and function in TPDOS:
             self.tpdos_to_lose -= 1
         elif self.answer_delay and function == SDO_ANSWER:
-            self._agenda.after(self._random.uniform(0.0, self.answer_delay), lambda: self.from_other(frame))
+            self._agenda.after(self._random.uniform(0.0, self.answer_delay), partial(self.from_other, frame))
         else:
             self.from_other(frame)
 
@@ -172,7 +187,7 @@ class BusModel:
         self.capacity, self.acknowledged = CAPACITY, True
         self.loss = self.duplication = self.answer_delay = 0.0
         self.room, self.stuck, self.echoes = None, False, True
-        self.mute, self.tpdos_to_lose = False, 0
+        self.mute, self.tpdos_to_lose, self.intercept = False, 0, pass_on
         if self.state != "active":
             self._change("active", "")
         self.begin()
@@ -215,16 +230,24 @@ class BusModel:
             self._note_echo(on_wire.frame, heard)
             if heard:
                 self._to_executor(FrameEchoed(self.name, on_wire.frame, self._agenda.now))
-            for _ in range(1 + twice):
-                self._to_boards(self.name, on_wire, lost)
+            what = self.intercept(on_wire.frame)
+            for _ in range(1 + (twice or what == "twice")):
+                self._to_boards(self.name, on_wire, lost or what == "lose")
         elif on_wire is not None:
             self._note(on_wire)
-            for _ in range(1 + twice):
-                if self._connected and not lost:
-                    self._to_executor(FrameReceived(self.name, on_wire, self._agenda.now))
-                if on_wire.id == MASTER_HEARTBEAT or split(on_wire.id)[0] not in (SDO_ANSWER, HEARTBEAT):
-                    self._to_boards(self.name, OnItsWay(on_wire, None), lost)
+            what = self.intercept(on_wire)
+            if what == "late":
+                self._agenda.after(self.late, partial(self._deliver, on_wire, lost))
+            for _ in range({"lose": 0, "late": 0, "twice": 2}.get(what, 1 + twice)):
+                self._deliver(on_wire, lost)
         self.begin()
+
+    def _deliver(self, frame: Frame, lost: bool) -> None:
+        """Delivers a frame of a board or of another program."""
+        if self._connected and not lost:
+            self._to_executor(FrameReceived(self.name, frame, self._agenda.now))
+        if frame.id == MASTER_HEARTBEAT or split(frame.id)[0] not in (SDO_ANSWER, HEARTBEAT):
+            self._to_boards(self.name, OnItsWay(frame, None), lost)
 
     def _note_echo(self, frame: Frame, heard: bool) -> None:
         """Notes a lost echo, of which the executor learns by the echo of a later heartbeat."""

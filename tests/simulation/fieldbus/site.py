@@ -1,144 +1,207 @@
-"""Boards and buses of one arm with a CANopen master, on the clock of the world."""
+"""Boards and buses of one arm with a CANopen master, on a simulated clock."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import cached_property
 from random import Random
 
 from hyperbit.drivers.canopen.run.master import Master
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
-from hyperbit.drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, SendFailed
+from hyperbit.drivers.canopen.wire.events import BusChanged, Event, SendFailed
+from hyperbit.drivers.canopen.wiring import Timing, Wiring
 from hyperbit.drivers.simulation.firmware import SimulatedBoard
+from hyperbit.drivers.simulation.variants import Variant
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.boards import AttachedBoards
 from tests.simulation.buses.bus_model import BusModel, OnItsWay
-from tests.simulation.fieldbus.arms import Drawn
+from tests.simulation.faults.fault import Fault, Switch
+from tests.simulation.faults.sight import Sight
 
 TICK = 0.01  # [s] between two calls of the master
-READS_INPUTS = b"\x00\x60"  # index of the inputs in an SDO frame
-LATE = 0.03  # [s], delay of a late answer
+TOOL = "tool"  # cause of a change of pins by another program
 
 
-class Attached(AttachedBoards):
-    watch: Callable[[str], None] = staticmethod(lambda cause: None)
+class SeenBoards(AttachedBoards):
+    """Boards whose site sees each change of their pins."""
+
+    site: Site | None = None
 
     def see(self, cause: str, belongs_to: object = None) -> None:
-        self.watch(cause)
+        if self.site is not None:
+            self.site.sees(cause, belongs_to)
 
 
 class Site:
-    """One arm: boards, buses, and a master that can be exchanged.
+    """One arm: boards, buses, and a master that can be exchanged. Without a master it can be pickled.
 
     Attributes:
         master: the present master; None: no executor runs.
-        stalled: whether the executor stands still.
-        intercept: called with each frame of a board, or to one; returns "", "lose", "twice" or "late".
-        echoes: takes bus, identifier and time of each frame of the master that was sent.
-        hears: takes each frame of a board that reaches the master.
+        stalled: whether the executor stands still; events wait for it.
+        stage: whether the frames that the master sends now belong to a command, and not to a release or a boot.
     """
 
-    def __init__(self, drawn: Drawn, agenda: Agenda, random: Random) -> None:
-        self.drawn, self.agenda = drawn, agenda
+    def __init__(
+        self, wiring: Wiring, timing: Timing, variants: Mapping[str, Variant], agenda: Agenda, random: Random
+    ) -> None:
+        self.wiring, self.timing, self.variants, self.agenda = wiring, timing, variants, agenda
         self.buses = {
-            bus.name: BusModel(bus.name, bus.bitrate, agenda, random, self._to_boards, self._to_master)
-            for bus in drawn.wiring.buses
+            bus.name: BusModel(bus.name, bus.bitrate, agenda, random, self.to_boards, self.to_master)
+            for bus in wiring.buses
         }
-        self.master: Master | None = None
-        self.stalled = False
-        self.intercept: Callable[[str, Frame], str] = lambda bus, frame: ""
-        self.hands_out: Callable[[str, Frame], None] = lambda bus, frame: None
-        self.echoes: Callable[[str, int, float], None] = lambda bus, cob_id, now: None
-        self.ticked: Callable[[], None] = lambda: None
-        self.hears: Callable[[str, Frame], None] = lambda bus, frame: None
+        self.running: Master | None = None
+        self.stalled = self.stage = False
         self._failed: list[SendFailed] = []
         self._waiting: list[Event] = []
-        self.boards = Attached(drawn.wiring, drawn.timing, drawn.variants, agenda, self._from_board)
+        self.boards = SeenBoards(wiring, timing, variants, agenda, self.from_board)
+        self.boards.site = self
         agenda.after(TICK, self._tick)
+
+    @cached_property
+    def sight(self) -> Sight:
+        return Sight(self.wiring, self.timing, self.boards, self.variants)
 
     @property
     def now(self) -> float:
         return self.agenda.now
 
+    @property
+    def master(self) -> Master:
+        assert self.running is not None
+        return self.running
+
     def board(self, name: str) -> SimulatedBoard:
         return self.boards.simulated.board(name)
+
+    # --- the executor
 
     def start_master(self) -> Master:
         self._waiting.clear()
         self.stalled = False
-        self.master = Master(self.drawn.wiring, self.drawn.timing, self._from_master)
+        self.running = Master(self.wiring, self.timing, self._from_master)
         for name, bus in self.buses.items():
             self.tell(BusChanged(name, bus.state, "", None))
-        return self.master
+        return self.running
 
     def call(self, action: Callable[[Master], object]) -> None:
         """Calls the master, and tells it of frames that could not be sent."""
-        assert self.master is not None
         action(self.master)
-        self._drain()
-
-    def _drain(self) -> None:
-        while self._failed and self.master is not None:
+        while self._failed and self.running is not None:
             failed, self._failed = self._failed, []
             for event in failed:
-                self.master.receive_event(event, self.now)
+                self.running.receive_event(event, self.now)
+
+    def commit(self, states: int, release: bool = False) -> None:
+        self.stage = not release
+        self.call(lambda m: m.commit(states, self.now, release=release))
 
     def tell(self, event: Event) -> None:
         """Gives the master an event, now or after its stall."""
-        if self.master is None:
-            return
-        if self.stalled:
+        if self.stalled and self.running is not None:
             self._waiting.append(event)
-            return
-        self.master.receive_event(event, self.now)
-        self._drain()
+        elif self.running is not None:
+            self.call(lambda m: m.receive_event(event, self.now))
+
+    def stall(self, seconds: float) -> None:
+        self.stalled = True
+        self.agenda.after(seconds, self.go_on)
 
     def go_on(self) -> None:
         """Ends a stall: the master takes a tick, then all that has come."""
-        self.stalled = False
-        if self.master is not None:
-            self.call(lambda master: master.tick(self.now))
-        waiting, self._waiting = self._waiting, []
-        for event in waiting:
-            self.tell(event)
+        if self.stalled:
+            self.stalled = False
+            self.tick()
+            waiting, self._waiting = self._waiting, []
+            for event in waiting:
+                self.tell(event)
+
+    def kill(self, dead: float) -> None:
+        """Kills the executor; after a time [s] another one boots the boards."""
+        self.running, self.stalled = None, False
+        for bus in self.buses.values():
+            bus.drop()
+        self.agenda.after(dead, self.start_and_boot)
+
+    def start_and_boot(self) -> None:
+        if self.running is None:
+            self.start_master()
+            self.call(lambda m: m.boot(self.now))
 
     def _tick(self) -> None:
         self.agenda.after(TICK, self._tick)
-        if self.master is not None and not self.stalled:
-            self.call(lambda master: master.tick(self.now))
-            self.ticked()
+        if not self.stalled:
+            self.tick()
+
+    def tick(self) -> None:
+        if self.running is not None:
+            self.call(lambda m: m.tick(self.now))
+
+    # --- frames
 
     def _from_master(self, bus: str, frame: Frame) -> None:
         self.hands_out(bus, frame)
-        if (why := self.buses[bus].send_frame(frame)) is not None:
+        if (why := self.buses[bus].send_frame(frame, self.stage)) is not None:
             self._failed.append(SendFailed(bus, frame, why))
 
-    def _to_master(self, event: Event) -> None:
-        if isinstance(event, FrameEchoed):
-            self.echoes(event.bus, event.frame.id, self.now)
+    def hands_out(self, bus: str, frame: Frame) -> None:
+        """Is called with each frame of the master before it is sent."""
+
+    def sees(self, cause: str, belongs_to: object) -> None:
+        """Is called when pins may have changed: by "time", "fault", a program of somebody else, or a frame."""
+
+    def to_master(self, event: Event) -> None:
         self.tell(event)
 
-    def _to_boards(self, bus: str, sent: OnItsWay, lost: bool) -> None:
-        if lost:
-            return
-        what = self.intercept(bus, sent.frame)
-        for _ in range({"lose": 0, "twice": 2}.get(what, 1)):
-            self.boards.receive(bus, sent.frame, cause_of(sent.frame))
+    def to_boards(self, bus: str, sent: OnItsWay, lost: bool) -> None:
+        if not lost:
+            ours = sent.belongs_to is not None
+            self.boards.receive(bus, sent.frame, cause_of(sent.frame) if ours else TOOL, sent.belongs_to)
 
-    def _from_board(self, bus: str, frame: Frame) -> None:
-        what = self.intercept(bus, frame)
-        self.hears(bus, frame)
-        if what == "late":
-            self.agenda.after(LATE, lambda: self.buses[bus].from_board(frame))
-            return
-        for _ in range({"lose": 0, "twice": 2}.get(what, 1)):
-            self.buses[bus].from_board(frame)
+    def from_board(self, bus: str, frame: Frame) -> None:
+        self.buses[bus].from_board(frame)
+
+    # --- what faults need
 
     def order(self, name: str, command: int) -> None:
-        """Another program sends an NMT command to a board, unheard by the master."""
+        """Another program commands a board, unheard by the master."""
         bus, node = name.split("/")
-        frame = Frame(cia301.NMT, bytes([command, int(node)]))
-        self.boards.receive(bus, frame, "foreign START" if command == Command.START else "foreign")
+        self.boards.receive(bus, Frame(cia301.NMT, bytes([command, int(node)])), TOOL)
+
+    def mend(self) -> None:
+        """Ends faults of buses, and connects all boards."""
+        for bus in self.buses.values():
+            bus.restore()
+        self.boards.loses = None
+        for name in self.boards.simulated.names:
+            self.boards.fault("unsilence", name)
+            if not self.board(name).powered:
+                self.boards.fault("power_on", name)
+
+    def pass_time(self, seconds: float) -> None:
+        self.agenda.run(seconds)
+
+    def moves(self) -> bool:
+        """Whether frames under way may switch something."""
+        master = self.running
+        return master is not None and bool(master.committing or master.collecting or master.leaving or master.booting)
+
+    def switch_on(self, name: str) -> Switch | None:
+        """Returns a command that switches an output of a board, if one can be given now."""
+        return None
+
+    def flip_of(self, name: str) -> Fault | None:
+        """Returns a change of an input of a board, if it has one that nothing else supervises."""
+        return None
+
+    def reads_outputs(self, name: str) -> bool:
+        """Whether the outputs of a board rest, and are read in turn."""
+        return False
+
+    def ignored(self, bus: str) -> int:
+        """Returns how many frames of a bus the master has not understood; 0 without a master."""
+        buses = self.running.status().buses if self.running is not None else ()
+        return sum(status.ignored for status in buses if status.name == bus)
 
 
 def cause_of(frame: Frame) -> str:
