@@ -16,7 +16,7 @@ from hyperbit.controller.executor.core.events import (
 from hyperbit.controller.host.process import Quit
 from hyperbit.controller.program import Counts, Goodbye, Hello, Up, Welcome
 from hyperbit.drivers.canopen.wire.cia301 import Frame
-from hyperbit.drivers.canopen.wire.events import FrameEchoed, FrameReceived, SendFailed
+from hyperbit.drivers.canopen.wire.events import FrameEchoed, FrameIgnored, FrameReceived, SendFailed
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import Witness
 from tests.simulation.judge.clients import Client
@@ -69,6 +69,9 @@ class Feed(Witness):
                 judge.counts.hears(event.bus, event.frame.id)
                 judge.proofs.hears(event.bus, event.frame.id, event.frame.data)
                 judge.snapshots.hears(event.bus, event.frame.id, event.frame.data)
+            case FrameIgnored():
+                judge.other_event()
+                judge.counts.hears(event.bus, 0x100)
             case SendFailed(bus, frame, _):
                 judge.fails(bus, frame.id)
             case Health(loop, dropped):

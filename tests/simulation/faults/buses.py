@@ -124,7 +124,7 @@ def executor_stands_still(at: Place, long: float = 0.0) -> Fault:
     return Fault(lambda: at.world.stall(long), told=told)
 
 
-@row("executor")
+@row("executor", anytime=True)
 def executor_stalls_for_a_moment(at: Place) -> Fault:
     short = 0.7 * (at.timing.heartbeat_timeout - at.timing.heartbeat)
     return Fault(lambda: at.world.stall(short), told=Told(within=short + 0.2, beats=False))
@@ -134,3 +134,15 @@ def executor_stalls_for_a_moment(at: Place) -> Fault:
 def executor_is_killed(at: Place, dead: float | None = None) -> Fault:
     """The next process boots the boards."""
     return Fault(lambda: at.world.kill(at.random.choice([0.05, 0.2, 1.0]) if dead is None else dead), told=None)
+
+
+@row("bus", anytime=True)
+def TPDO_of_a_board_is_lost(at: Place) -> Fault:
+    return Fault(at.on_bus("tpdos_to_lose", 1), at.on_bus("tpdos_to_lose", 0), None)
+
+
+@row("bus", anytime=True)
+def frame_of_random_bytes(at: Place) -> Fault:
+    own = [function + at.node for function in (0x80, 0x180, 0x580, 0x580, 0x700)]
+    cob_id = at.random.choice([at.random.randrange(0x800), 0x77F, 0x80, *own])
+    return Fault(at.post(Frame(cob_id, at.random.randbytes(at.random.randint(0, 8)))), told=None)

@@ -65,13 +65,18 @@ def nothing() -> None:
 
 
 class Fault(NamedTuple):
-    """A fault at a place; `check` is called when it was told. Without `told` nobody can say what a fault leads to."""
+    """A fault at a place. Without `told` nobody can say what it leads to.
+
+    Attributes:
+        check: what worlds of boards judge beside, when the fault was told.
+        holds: neither the fault nor the reset after it changes what it returns.
+    """
 
     begin: Callable[[], object]
     end: Callable[[], object] = nothing
     told: Told | None = NOTHING
     check: Callable[[], object] = nothing
-    holds: Callable[[], object] = nothing  # neither the fault nor the reset after it changes what it returns
+    holds: Callable[[], object] = nothing
 
 
 class Place:

@@ -70,7 +70,7 @@ def _entries(at: Place) -> Iterator[tuple[int, int, int]]:
             value &= at.judged.used >> 8 * (sub - 1) & 0xFF  # START would switch off what is not used
             if not value:
                 continue
-        watched = [objects.number(index, other) >> 16 for other in objects.subs(index) if other != sub]
+        watched = [objects.number(0x1016, other) >> 16 for other in objects.subs(0x1016) if other != sub]
         if index == 0x1016 and value >> 16 in watched:
             continue  # CiA 301 forbids a second entry for one node
         yield index, sub, value
@@ -88,7 +88,7 @@ def another_configuration(at: Place) -> Fault:
         at.board.pdos.configure()
         at.board.drive()
         at.boards.set_timer()
-        at.boards.see("foreign")
+        at.boards.see("fault")
 
     return Fault(begin)
 
@@ -213,7 +213,7 @@ def outputs_were_written(at: Place) -> Fault:
             at.objects.set_number(base, sub, at.random.getrandbits(8) & at.random.getrandbits(8))
             at.board.outputs.written(base, sub)
         at.board.drive()
-        at.boards.see("foreign")
+        at.boards.see("fault")
 
     return Fault(begin, told=None)  # both outputs of an actuator may be on
 
@@ -256,7 +256,7 @@ def outputs_are_inverted(at: Place) -> Fault | None:
             for sub in at.objects.subs(0x6202):
                 at.objects.set_number(0x6202, sub, polarity)
             at.board.drive()
-            at.boards.see("foreign")
+            at.boards.see("fault")
 
         return write
 

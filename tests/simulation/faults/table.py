@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from tests.simulation.faults import boards, buses, left, reads
+from tests.simulation.faults import boards, buses, left, motion, processes, pulses, reads
 from tests.simulation.faults.fault import TABLE, Row
 
-PARTS = (boards, buses, left, reads)  # each adds its rows as it is imported
+PARTS = (boards, buses, left, motion, processes, pulses, reads)  # each adds its rows as it is imported
 
 
 def rows(*strikes: str) -> list[Row]:

@@ -211,6 +211,10 @@ class Daemon:
         process = self.process
         self.agenda.after(self._random.uniform(0.0, 3 * LATENCY), process.quit)
 
+    def err(self, share: float) -> None:
+        """Makes a share of the searches raise an exception."""
+        self.search.errs = share
+
     def lose_network(self, lost: bool) -> None:
         """Loses the connections to all peers, or brings them back."""
         self.zenoh.lost = lost
