@@ -106,7 +106,7 @@ class OneResultEach(Statement):
 
     def killed(self) -> None:
         self._again = set()
-        if self.account.ordered_end:
+        if self.account.ordered_end and self.account.planner is not None:  # else nobody hears of a result
             for number, motion in self.account.programs.items():
                 self.require(motion.ended is not None, f"program {number} has no result at the end of the executor")
 
