@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from hyperbit.controller.program import Snapshot, unpack
+from hyperbit.controller.executor.core.events import Event, FromClient
+from hyperbit.controller.program import Clearance, Question, Snapshot, Up, unpack
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.buses.bus_model import RPDOS
 from tests.simulation.facts import Switch
@@ -12,6 +13,7 @@ from tests.simulation.statements.asked import Payload, Request, cubes_of, measur
 from tests.simulation.statements.exchange import Exchange
 from tests.simulation.statements.mechanics import Mechanics
 from tests.simulation.statements.results import OfTheArm
+from tests.simulation.whole.configurations import Cube
 
 LATE = 0.1  # [s], awake: 20 states a second, and the outbox
 STAMPED_WITHIN = 0.03  # [s] between a state and its publication
@@ -150,6 +152,23 @@ class NoStageTouchesAnObstacle(OfTheArm):
         super().__init__(exchange, mechanics)
         self._among = exchange.in_force  # when the last RPDO was handed out
         self._sure = False  # whether the executor knew then where the arm was
+        self._asked: dict[int, tuple[Question, frozenset[Cube]]] = {}  # by number, with the obstacles in force
+
+    def started(self) -> None:
+        self._asked.clear()
+
+    def says(self, message: Up) -> None:
+        if isinstance(message, Question):
+            self._asked[message.question] = message, self.exchange.in_force
+
+    def told(self, event: Event) -> None:
+        """A stage is called clear only if it touches nothing that was in force all the time."""
+        match event:
+            case FromClient(_, Clearance(number, None)) if number in self._asked:
+                question, among = self._asked.pop(number)
+                before, after = unpack(question.start), unpack(question.stage)
+                touched = [cube for cube in among & self.exchange.in_force if cube.touched(before, after)]
+                self.require(not touched, lambda: f"{question} is answered as clear, and touches {touched}")
 
     def sends(self, bus: str, frame: Frame) -> None:
         if frame.id & 0x780 in RPDOS:
