@@ -91,8 +91,7 @@ fleet: $(VENV)/installed
 	$(BIN)/python -m tests.benchmarks.fleet $(ARGS)
 
 fuzz: $(VENV)/installed
-	$(BIN)/pip install --quiet --editable '.[fuzz]'
-	$(BIN)/python -m tests.fuzz fuzz.json
+	$(BIN)/python -m tests.fuzz $(ARGS)
 
 # The executor, and the whole daemon, in simulated worlds with faults. A seed that fails is printed, see tests/README.md.
 soak: $(VENV)/installed

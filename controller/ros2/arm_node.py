@@ -3,7 +3,6 @@
 import contextlib
 import math
 import re
-import time
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -79,7 +78,7 @@ class ArmNode:
             self._node = Node(self._session, self._node_name, self._namespace, settings.domain, settings.distro)
             undoing.callback(self._node.close)
             self._declare_publishers()
-            self._jobs = Jobs(self.say)
+            self._jobs = Jobs(self._session.computer, self.say)
             undoing.callback(self._jobs.close)
             kinds = {
                 "tip": Kind(
@@ -184,7 +183,7 @@ class ArmNode:
 
     def say(self, level: int, text: str) -> None:
         """Logs a sentence on /rosout. Some sentences are left out in a flood of bad requests."""
-        now = time.monotonic()
+        now = self._session.computer.monotonic()
         if len(self._said) == self._said.maxlen and now - self._said[0] < 1.0:
             self._unsaid += 1
             return
@@ -192,7 +191,8 @@ class ArmNode:
         text = text if len(text) <= MOST_LETTERS else f"{text[:MOST_LETTERS]}..."
         if self._unsaid:
             text, self._unsaid = f"{text} ({self._unsaid} sentences before were left out)", 0
-        self._log.publish(messages.log(time.time(), level, self.name.strip("/").replace("/", "."), text))
+        logger = self.name.strip("/").replace("/", ".")
+        self._log.publish(messages.log(self._session.computer.time(), level, logger, text))
 
     def _declare_publishers(self) -> None:
         self._log = self._node.publisher("/rosout", "rcl_interfaces/msg/Log", ROSOUT)
@@ -231,7 +231,7 @@ def tell(session: Session, settings: Settings, node: str, text: str) -> None:
     """Logs an error on /rosout by a node that exists only for this message."""
     with Node(session, node, "/", settings.domain, settings.distro) as teller:
         publisher = teller.publisher("/rosout", "rcl_interfaces/msg/Log", ROSOUT)
-        publisher.publish(messages.log(time.time(), ERROR, node, text))
+        publisher.publish(messages.log(session.computer.time(), ERROR, node, text))
 
 
 def feedback(state: Mapping[str, Any], joints: Sequence[str], wanted: list[float], actual: list[float]) -> Fields:

@@ -1,7 +1,6 @@
 """The bridge's loop: makes the node once the arm is known, and publishes states at most 50 times a second."""
 
 import logging
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -37,13 +36,14 @@ class Bridge:
 
     def run(self, ending: Callable[[], bool], beat: Callable[[], None]) -> None:
         """Runs until `ending` returns True; calls `beat` many times a second."""
+        computer = self._session.computer
         while not ending():
-            began = time.monotonic()
+            began = computer.monotonic()
             for item in self._listener.receive_messages(PERIOD):
                 self._attempt(self.receive_message, item)
-            self.tick(time.monotonic())
+            self.tick(computer.monotonic())
             beat()
-            time.sleep(max(began + PERIOD - time.monotonic(), 0.0))
+            computer.sleep(max(began + PERIOD - computer.monotonic(), 0.0))
 
     def close(self) -> None:
         """Ends the node and aborts its goals."""

@@ -3,6 +3,7 @@
 import logging
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -48,11 +49,11 @@ class GoalBook:
     failure ends the waiting clients as well.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path, self._lock = path, threading.Lock()
+    def __init__(self, path: Path, monotonic: Callable[[], float] = time.monotonic) -> None:
+        self._path, self._lock, self._monotonic = path, threading.Lock(), monotonic
         path.parent.mkdir(parents=True, exist_ok=True)
         kept = read_kept(path, list[BookedGoal], "goals and owed cancels of earlier runs are not known")
-        now = time.monotonic()  # a later time is of an earlier start of the computer
+        now = monotonic()  # a later time is of an earlier start of the computer
         self._goals = {
             goal.uuid: msgspec.structs.replace(goal, since=min(goal.since, now), ended=min(goal.ended, now))
             for goal in kept or ()
@@ -86,7 +87,7 @@ class GoalBook:
             self._write()
 
     def _write(self) -> None:
-        until = time.monotonic() - KEPT
+        until = self._monotonic() - KEPT
         self._goals = {key: goal for key, goal in self._goals.items() if stays(goal, until)}
         ended = [key for key, goal in self._goals.items() if goal.result is not None and not goal.owed]
         for key in ended[: max(len(self._goals) - MOST_GOALS, 0)]:

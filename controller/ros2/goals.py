@@ -6,7 +6,6 @@ daemon's ledger for the result of each goal.
 
 import math
 import threading
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -64,10 +63,11 @@ class ActionGoals:
     ) -> None:
         self._kinds, self._book, self._client, self._jobs, self._say = kinds, book, client, jobs, say
         self._open: dict[str, OpenGoal] = {}
+        self._computer = node.session.computer
         self._lock = threading.Lock()
         self._gone: float | None = None  # time at which the daemon disappeared [s]
-        self._cancels = Task("cancels", self._send_cancels, say)
-        self._ledger = Task("ledger", self._ask_results, say)
+        self._cancels = Task(self._computer, "cancels", self._send_cancels, say)
+        self._ledger = Task(self._computer, "ledger", self._ask_results, say)
         policy = Policy(self._may_cancel, self._on_cancel, KEPT)
         self._servers = {
             name: node.action_server(kind.name, ACTION, self._on_goal(name), policy) for name, kind in kinds.items()
@@ -79,7 +79,7 @@ class ActionGoals:
         self._end(result.id, result)
 
     def receive_alive(self, *, alive: bool) -> None:
-        self._gone = None if alive else self._gone or time.monotonic()
+        self._gone = None if alive else self._gone or self._computer.monotonic()
 
     def publish_feedback(self, state: Mapping[str, Any]) -> None:
         with self._lock:
@@ -110,7 +110,7 @@ class ActionGoals:
 
     def owe_cancel(self, booked: BookedGoal) -> None:
         """Repeats the cancel of a goal without client until the daemon reports the goal's end."""
-        self._owe(OpenGoal(booked, None, time.monotonic()))
+        self._owe(OpenGoal(booked, None, self._computer.monotonic()))
         self._cancels.ask()
 
     def close(self) -> None:
@@ -155,18 +155,19 @@ class ActionGoals:
         self.check_room()
         allowed = time_tolerance(handle.goal)
         goal = {**self._kinds[kind].convert(handle.goal), "id": daemon_id(handle)}
-        booked = BookedGoal(handle.uuid.hex(), kind, tuple(handle.goal.trajectory.joint_names), stamp_now())
+        joints = tuple(handle.goal.trajectory.joint_names)
+        booked = BookedGoal(handle.uuid.hex(), kind, joints, stamp_now(self._computer))
         if why := self._book.add(booked):
             raise BadGoal(why)
-        begun = OpenGoal(booked, handle, time.monotonic(), decided=False)
+        begun = OpenGoal(booked, handle, self._computer.monotonic(), decided=False)
         with self._lock:
             self._open[booked.id] = begun
         answer = request(self._client, Answer, "goal", goal, passage)
         if not answer.accepted:
             raise BadGoal(answer.text or "no reason is given", answer.code)
         if allowed is not None:
-            within = max(goal["stamp"] - time.time(), 0.0) + goal["waypoints"][-1]["t"] + allowed
-            begun.booked = msgspec.structs.replace(booked, since=time.monotonic(), within=within)
+            within = max(goal["stamp"] - self._computer.time(), 0.0) + goal["waypoints"][-1]["t"] + allowed
+            begun.booked = msgspec.structs.replace(booked, since=self._computer.monotonic(), within=within)
             self._book.put(begun.booked)
         handle.accept()
         handle.execute()
@@ -208,7 +209,7 @@ class ActionGoals:
         if booked.owed or (handle and booked.result is None):
             with self._lock:
                 self._open[booked.id] = OpenGoal(
-                    booked, None if booked.result is not None else handle, time.monotonic()
+                    booked, None if booked.result is not None else handle, self._computer.monotonic()
                 )
         elif handle is None:
             self._book.remove(booked)
@@ -254,8 +255,8 @@ class ActionGoals:
 
     def _send_cancels(self) -> None:
         """Sends the cancels that are due until the daemon fails to answer."""
-        while (goal := self._due_cancel(time.monotonic())) is not None:
-            first, goal.canceled = goal.canceled < 0, time.monotonic()
+        while (goal := self._due_cancel(self._computer.monotonic())) is not None:
+            first, goal.canceled = goal.canceled < 0, self._computer.monotonic()
             try:
                 request(self._client, Answer, "cancel", {"id": goal.booked.id}, timeout=ENDING_TIMEOUT)
             except Unanswered as error:
@@ -265,15 +266,15 @@ class ActionGoals:
 
     def _ask_results(self) -> None:
         """Asks the daemon's ledger for due results until the daemon fails to answer."""
-        while (goal := self._due_question(time.monotonic())) is not None:
-            goal.asked = time.monotonic()
+        while (goal := self._due_question(self._computer.monotonic())) is not None:
+            goal.asked = self._computer.monotonic()
             try:
                 answer = request(self._client, LedgerAnswer, "result", {"id": goal.booked.id}, timeout=ENDING_TIMEOUT)
             except Unanswered:
                 return
             if answer.result is not None:
                 self._end(goal.booked.id, answer.result)
-            elif answer.reason == "unknown-goal" and time.monotonic() > goal.since + KNOWN_WITHIN:
+            elif answer.reason == "unknown-goal" and self._computer.monotonic() > goal.since + KNOWN_WITHIN:
                 why = "the daemon does not know the goal; how it ended is not known"
                 self._end(goal.booked.id, GoalResult("lost", LOST, why))
 
@@ -298,7 +299,8 @@ class ActionGoals:
                 why = "the arm was not there within goal_time_tolerance, and the goal was canceled"
                 result = GoalResult("aborted", TOO_LATE, why)
             if handle is not None:
-                booked = msgspec.structs.replace(booked, result=result, ended=time.monotonic(), canceling=canceling)
+                now = self._computer.monotonic()
+                booked = msgspec.structs.replace(booked, result=result, ended=now, canceling=canceling)
             goal.booked = booked
             if not booked.owed:
                 del self._open[name]

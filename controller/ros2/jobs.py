@@ -3,10 +3,10 @@
 import contextlib
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 
 from hyperbit.controller.ros2.answers import TIMEOUT
 from hyperbit.controller.ros2.messages import WARN
+from hyperbit.controller.ros2.wire.session import Computer
 
 MOST_WAITING = 64  # waiting requests for motion or plans
 WORKERS = 4
@@ -22,8 +22,8 @@ class Withdrawn(RuntimeError):
 class Order:
     """The order of arrival: a stop or cancel is sent before later requests, and bars earlier motion requests."""
 
-    def __init__(self) -> None:
-        self._changed = threading.Condition()
+    def __init__(self, computer: Computer) -> None:
+        self._changed = computer.condition()
         self.arrived = 0  # stops and cancels so far
         self._last = {STOP: 0, CANCEL: 0}  # number of the last one of each
         self._unsent: dict[int, str] = {}
@@ -88,8 +88,8 @@ class Passage:
 class Task:
     """Runs a function in its own thread on demand. One run meets all demands that wait."""
 
-    def __init__(self, name: str, function: Callable[[], None], say: Say) -> None:
-        self._pool, self._function, self._say = ThreadPoolExecutor(1, f"ros2-{name}"), function, say
+    def __init__(self, computer: Computer, name: str, function: Callable[[], None], say: Say) -> None:
+        self._pool, self._function, self._say = computer.pool(1, f"ros2-{name}"), function, say
         self._lock, self._waiting = threading.Lock(), False
 
     def ask(self) -> bool:
@@ -115,9 +115,9 @@ class Task:
 class Jobs:
     """A few threads for motion and plan requests; a limited number of jobs may wait."""
 
-    def __init__(self, say: Say) -> None:
-        self._say, self._pool = say, ThreadPoolExecutor(WORKERS, "ros2")
-        self.order = Order()
+    def __init__(self, computer: Computer, say: Say) -> None:
+        self._say, self._pool = say, computer.pool(WORKERS, "ros2")
+        self.order = Order(computer)
         self._free = threading.BoundedSemaphore(MOST_WAITING)
 
     def submit(self, job: Callable[[], None]) -> bool:

@@ -1,7 +1,6 @@
 """Poses of ROS 2 as waypoints of goals, and back."""
 
 import math
-import time
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -58,9 +57,9 @@ def time_of(stamp: float) -> Fields:
     return {"sec": nanoseconds // SECOND, "nanosec": nanoseconds % SECOND}
 
 
-def check_stamp(stamp: float, where: str) -> None:
-    """Raises BadGoal if the stamp of a pose to reach now is too old, or in the future; 0 is always valid."""
-    age = time.time() - stamp
+def check_stamp(stamp: float, where: str, now: float) -> None:
+    """Raises BadGoal if a stamp is too old, or in the future; 0 is always valid. `now` is the UNIX time [s]."""
+    age = now - stamp
     if stamp != 0 and abs(age) > OLDEST:
         when = f"{age:.1f} s old" if age > 0 else f"{-age:.1f} s in the future"
         raise BadGoal(f"{where}.header.stamp: {when}, expected at most {OLDEST:g} s, or 0", -3)

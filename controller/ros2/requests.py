@@ -4,7 +4,6 @@ import itertools
 import json
 import math
 import threading
-import uuid
 from collections.abc import Callable
 from typing import Any
 
@@ -21,6 +20,7 @@ from hyperbit.controller.ros2.poses import BadGoal, Fields, Place, check_stamp, 
 from hyperbit.controller.ros2.wire.action_server import stamp_now
 from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.services import Request
+from hyperbit.controller.ros2.wire.session import Computer
 from hyperbit.controller.ros2.wire.topics import Received
 
 LEAST_STEP = 0.1  # [s] between two poses of a path without times
@@ -32,9 +32,9 @@ FAILED: Fields = {"success": False, "message": "the request failed, or too many 
 class Ending:
     """The service `stop` or `cancel`. A request to the daemon follows each call; waiting calls share one."""
 
-    def __init__(self, key: str, order: Order, client: Client, say: Say) -> None:
+    def __init__(self, computer: Computer, key: str, order: Order, client: Client, say: Say) -> None:
         self._key, self._order, self._client = key, order, client
-        self._task = Task(key, self._run, say)
+        self._task = Task(computer, key, self._run, say)
         self._lock, self._waiting, self._number = threading.Lock(), list[Request](), 0
         self.close = self._task.close
 
@@ -76,10 +76,10 @@ class Requests:
         self, node: Node, client: Client, place: Place, jobs: Jobs, goals: ActionGoals, say: Say, *, oriented: bool
     ) -> None:
         self._client, self._place, self._jobs, self._goals, self._say = client, place, jobs, goals, say
-        self._oriented, self._order = oriented, jobs.order
+        self._oriented, self._order, self._computer = oriented, jobs.order, node.session.computer
         self._sent: dict[str, None] = {}  # ids of goals from topics, the oldest first
         self._lock = threading.Lock()
-        self._endings = [Ending(key, self._order, client, say) for key in (STOP, CANCEL)]
+        self._endings = [Ending(self._computer, key, self._order, client, say) for key in (STOP, CANCEL)]
         for key, ending in zip((STOP, CANCEL), self._endings, strict=True):
             node.service(key, "std_srvs/srv/Trigger", ending.receive)
         node.service("reset", "std_srvs/srv/Trigger", self._reset)
@@ -158,7 +158,7 @@ class Requests:
 
     def _later(self, name: str, convert: Callable[[Any], Fields]) -> Callable[[Received], None]:
         def send(message: Any, passage: Passage) -> None:
-            booked = BookedGoal(uuid.uuid4().hex, name, (), stamp_now(), client=False)
+            booked = BookedGoal(self._computer.uuid().hex, name, (), stamp_now(self._computer), client=False)
             self._remember(booked.id)
             try:
                 self._goals.check_room()
@@ -179,8 +179,11 @@ class Requests:
 
         return receive
 
+    def _check_stamp(self, stamp: Any, where: str) -> None:
+        check_stamp(seconds(stamp), where, self._computer.time())
+
     def _pose_goal(self, message: Any) -> Fields:
-        check_stamp(seconds(message.header.stamp), "goal_pose")
+        self._check_stamp(message.header.stamp, "goal_pose")
         return {"waypoints": [waypoint(message, self._place, "goal_pose", oriented=self._oriented)]}
 
     def _path_goal(self, message: Any) -> Fields:
@@ -188,9 +191,9 @@ class Requests:
         if not 1 <= len(message.poses) <= MOST_POSES:
             raise BadGoal(f"goal_path.poses: {len(message.poses)}, expected 1 to {MOST_POSES}")
         self._place.frame(message.header.frame_id, "goal_path")
-        check_stamp(seconds(message.header.stamp), "goal_path")
+        self._check_stamp(message.header.stamp, "goal_path")
         stamps = [seconds(it.header.stamp) for it in message.poses]
-        check_stamp(stamps[0], "goal_path.poses[0]")
+        self._check_stamp(message.poses[0].header.stamp, "goal_path.poses[0]")
         timed = len(stamps) > 1 and all(a < b for a, b in itertools.pairwise(stamps))
         step = max(LEAST_STEP, 2 * request(self._client, ArmAnswer, "arm").travel_time)
         times = [it - stamps[0] for it in stamps] if timed else [k * step for k in range(len(stamps))]

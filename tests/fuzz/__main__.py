@@ -1,99 +1,96 @@
-"""Fuzzes all targets with both engines, two at a time, and prints a table of the results.
+"""Fuzzes the readers of wires and files, and the executor: python -m tests.fuzz [--inputs 20000] [READER ...].
 
-`python -m tests.fuzz [OUT.json]` needs the extra "fuzz". No input may cause a crash, a motion or a leak; otherwise the
-exit code is 1, and the failing inputs are in `fuzz-found`. Replayed inputs are not counted. Column `blocks` has the
-growth of the number of allocated memory blocks, `resident` the resident memory of the process, and `seconds` processor
-time, in the last line elapsed time.
+Each reader has a process, two at a time. No input may end a reader, take long, or make it keep memory: otherwise the
+exit code is 1, and the input is in the folder `fuzz-found`.
 """
 
 from __future__ import annotations
 
-import json
-import subprocess
+import argparse
+import gc
+import signal
 import sys
-import tempfile
 import time
-from concurrent.futures import ThreadPoolExecutor
+import traceback
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from tests.fuzz.readers import SAMPLES
+from hypothesis import HealthCheck, given, settings
 
-# Runs by target and engine; one of "executor", "packets" and "board" holds many inputs. What atheris keeps is replayed.
-JOBS = [
-    [("executor", "atheris", 8_000), ("executor", "replay", 1_500)],
-    [("goal", "atheris", 100_000), ("goal", "replay", 8_000)],
-    [("arm", "atheris", 5_000), ("arm", "replay", 1_500)],
-    [("executor", "hypothesis", 4_000)],
-    [("packets", "atheris", 8_000), ("packets", "replay", 1_500)],
-    [("setpoint", "atheris", 150_000), ("setpoint", "replay", 20_000)],
-    [("board", "atheris", 20_000), ("board", "replay", 5_000)],
-    [("notation", "atheris", 100_000), ("notation", "replay", 50_000)],
-    [("goal", "hypothesis", 10_000)],
-    [("packets", "hypothesis", 4_000)],
-    [("jog", "atheris", 50_000), ("jog", "replay", 20_000)],
-    [("jog", "hypothesis", 5_000)],
-    [("setpoint", "hypothesis", 10_000)],
-    [("arm", "hypothesis", 3_000)],
-    [("notation", "hypothesis", 10_000)],
-    [("measured_tip", "atheris", 50_000), ("measured_tip", "replay", 20_000)],
-    [("degrade", "atheris", 50_000), ("degrade", "replay", 20_000)],
-    [("obstacles", "atheris", 50_000), ("obstacles", "replay", 8_000)],
-    [("measured_tip", "hypothesis", 5_000)],
-    [("degrade", "hypothesis", 5_000)],
-    [("obstacles", "hypothesis", 10_000)],
-    [("board", "hypothesis", 4_000)],
-    [("recording", "hypothesis", 1_500)],
-    *([(name, "mutations", 20_000)] for name in SAMPLES),
-]
-LONGEST = 1800.0  # [s] for one of them
-LEAK = 0.01  # share by which the blocks held may grow after a fifth of the runs
-ROW = "{:12} {:11} {:>10} {:>10} {:>8} {:>8} {:>8} {:>8} {:>9}"
+from tests.fuzz.executor import Attack, lives
+from tests.fuzz.readers import READERS, built, mutation
+
+PATIENCE = 5.0  # [s] of processor time for one input
+WARM, LEAK = 0.2, 0.01  # share of the inputs before memory is looked at, and by which it may grow afterwards
+KEPT = Path("fuzz-found")
 
 
-def attack(job: tuple[str, str, int], room: Path) -> dict[str, Any]:
-    target, engine, runs = job
-    out = room / f"{target}-{engine}.json"
-    command = [sys.executable, "-m", "tests.fuzz.engine", target, engine, str(runs), str(out)]
-    with (room / f"{target}-{engine}.log").open("w+") as log:
-        subprocess.run(command, stdout=log, stderr=log, timeout=LONGEST, check=False)
-        log.seek(0)
-        said = log.read()
-    if not out.exists():
-        raise SystemExit(f"{target} by {engine} ended without figures:\n{said[-3000:]}")
-    result: dict[str, Any] = {"engine": engine, **json.loads(out.read_text())}
-    if result["wrong"]:
-        sys.stderr.write(said[-6000:])
-    return result
+class Endless(Exception):
+    """One input took too long."""
 
 
-def row(result: dict[str, Any]) -> str:
-    r = result
-    cells = [f"{r['runs']:,}", f"{r['inputs']:,}", f"{r['seconds']:.0f}", r["crashes"], r["motions"]]
-    judged = r["engine"] in ("replay", "")  # engines keep memory of their own
-    memory = [f"{r['blocks']:+.3%}", f"{r['resident']:+.3%}"] if judged else ["", ""]
-    return ROW.format(r["target"], r["engine"], *cells, *memory)
+def read(name: str, inputs: int) -> tuple[str, float, float, Counter[str]]:
+    """Returns the processor time [s], the growth of the memory, and the number of failures of each kind."""
+    take, wrong, before = built(name), Counter[str](), 0
+
+    def interrupt(*_: Any) -> None:
+        raise Endless(f"more than {PATIENCE:g} s for one input")
+
+    signal.signal(signal.SIGVTALRM, interrupt)
+    for number in range(inputs):
+        key, data = mutation(name, number)
+        signal.setitimer(signal.ITIMER_VIRTUAL, PATIENCE)
+        try:
+            take(key, data)
+        except Exception as error:
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            kind = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}"
+            if not wrong[kind]:
+                KEPT.mkdir(exist_ok=True)
+                (KEPT / f"{name}-{number}").write_bytes(key.encode() + b"\n" + data)
+                traceback.print_exc()
+            wrong[kind] += 1
+            take = built(name)
+        finally:
+            signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+        if number == int(inputs * WARM):
+            before = blocks()
+    return name, time.process_time(), blocks() / before - 1, wrong
+
+
+def blocks() -> int:
+    """Returns the number of memory blocks that Python has allocated."""
+    gc.collect()
+    return sys.getallocatedblocks()
+
+
+def attack(inputs: int) -> None:
+    whole = Attack()
+    quiet = settings(max_examples=inputs, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+    quiet(given(lives)(lambda acts: whole(acts)))()
+    print(f"executor: {inputs:,} lives, {whole.switched:,} switches", flush=True)
 
 
 def main() -> None:
-    began = time.monotonic()
-    print(ROW.format("target", "engine", "runs", "inputs", "seconds", "crashes", "motions", "blocks", "resident"))
-    with tempfile.TemporaryDirectory() as room, ThreadPoolExecutor(2) as two:
-        results = []
-        for some in two.map(lambda jobs: [attack(job, Path(room)) for job in jobs], JOBS):
-            results += some
-            print("\n".join(map(row, some)), flush=True)
-    fresh = [r for r in results if r["engine"] != "replay"]
-    total = {key: sum(r[key] for r in fresh) for key in ("runs", "inputs")}
-    total |= {key: sum(r[key] for r in results) for key in ("crashes", "motions")}
-    total |= {key: max(r[key] for r in results if r["engine"] == "replay") for key in ("blocks", "resident")}
-    elapsed = round(time.monotonic() - began, 1)
-    print(row({"target": "all", "engine": "", **total, "seconds": elapsed}))
-    if len(sys.argv) > 1:
-        figures = {"results": results, **total, "seconds": elapsed}
-        Path(sys.argv[1]).write_text(json.dumps(figures, indent=1) + "\n")
-    if total["crashes"] or total["motions"] or total["blocks"] > LEAK:
-        raise SystemExit(1)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--inputs", type=int, default=20_000)
+    parser.add_argument("readers", nargs="*", choices=(*READERS, []), help="by default all, and the executor")
+    options = parser.parse_args()
+    failed = False
+    with ProcessPoolExecutor(2, max_tasks_per_child=1) as two:
+        runs = [two.submit(read, name, options.inputs) for name in options.readers or READERS]
+        rest = None if options.readers else two.submit(attack, options.inputs // 10)
+        for run in runs:
+            name, seconds, growth, wrong = run.result()
+            print(
+                f"{name}: {options.inputs:,} inputs, {seconds:.0f} s, memory {growth:+.2%}, {dict(wrong)}", flush=True
+            )
+            failed |= bool(wrong) or growth > LEAK
+        if rest is not None:
+            rest.result()
+    raise SystemExit(failed)
 
 
 if __name__ == "__main__":

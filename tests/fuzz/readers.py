@@ -1,4 +1,4 @@
-"""The readers of wires and files. Each takes a key, or a file's name, and bytes that anybody may have sent."""
+"""The table of readers of wires and files. Each takes a key, or a file's name, and bytes that anybody may have sent."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
+import yaml
 import zenoh
 from rich.console import Console
 
@@ -33,6 +35,7 @@ from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.gateway.server import GatewayParts, Server
 from hyperbit.controller.host.files import read_kept
+from hyperbit.controller.network import client as network_client
 from hyperbit.controller.network.client import Client, Unanswered
 from hyperbit.controller.network.fleet import ArmAddress, Fleet, Presence
 from hyperbit.controller.network.listener import ReceivedMessage
@@ -49,43 +52,47 @@ from hyperbit.controller.recorder.player import Player, Timeline
 from hyperbit.controller.recorder.reader import RecordingReader
 from hyperbit.controller.recorder.recorder import Limits, Recorder
 from hyperbit.controller.ros2.goal_book import GoalBook
-from hyperbit.controller.ros2.wire.cdr import BadMessage, deserialize
+from hyperbit.controller.ros2.wire.cdr import serialize
+from tests import told
 from tests.fuzz import requests
-from tests.fuzz.frames import Lines
+from tests.fuzz.executor import MESSAGES
 from tests.fuzz.judge import Flood
-from tests.fuzz.messages import ANSWER, ARM, POSE, PUBLISHED, STATE
-from tests.fuzz.mutations import HEAD
-from tests.fuzz.packets import MESSAGES
-from tests.fuzz.page_readers import http, page, page_request
-from tests.fuzz.still import Query, Reply, Sample, StillSession, Take, at_once
+from tests.fuzz.mutations import mutated
+from tests.fuzz.page import http, page, page_request
+from tests.fuzz.recordings import read_recording
+from tests.fuzz.still import Query, Reply, Sample, StillSession, Take
 from tests.gateway.conftest import FakePlanner
 from tests.keys import DEPLOY
-from tests.ros2.fuzz.inputs import KINDS, Inputs
-from tests.ros2.fuzz.world import World
-from tests.ros2.samples import TYPES
+from tests.ros2.rig import Rig
+from tests.ros2.world.inputs import ATTACHMENT, KINDS, TYPES, Input
 
+CORPUS = Path(__file__).with_name("corpus")
 ROOM = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 MOST_LINES = 60  # of the log, however many inputs there are
+AT_ONCE = mock.patch.object(network_client, "PAUSE", 0.0)  # a client asks again without a pause
 
 
-class Quiet:
+class Quiet(logging.Handler):
     """A reader whose log is bounded and has no traceback. `starts`: each input is read at a start."""
 
-    def __init__(self, take: Take, *, starts: bool) -> None:
-        self._take, self._starts, self._lines = take, starts, Lines()
-        self._lines.setLevel(logging.WARNING)
-        logging.getLogger().addHandler(self._lines)
+    def __init__(self, take: Take, *, starts: bool = False) -> None:
+        super().__init__(logging.WARNING)
+        self._take, self._starts = take, starts
+        self.count, self.last, self.traceback = 0, "", ""
+        logging.getLogger().addHandler(self)
 
-    def __call__(self, data: bytes) -> int:
-        head, _, payload = data.partition(HEAD)
-        self._take(head.decode(), payload)
-        if self._lines.traceback:
-            raise AssertionError(f"a traceback in the log: {self._lines.traceback}")
-        if self._lines.count > MOST_LINES:
-            raise Flood(f"{self._lines.count} lines of the log, the last: {self._lines.last}")
-        if self._starts:
-            self._lines.count = 0
-        return 1
+    def emit(self, record: logging.LogRecord) -> None:
+        self.count, self.last = self.count + 1, record.getMessage()
+        if record.exc_info:
+            self.traceback = logging.Formatter().formatException(record.exc_info)
+
+    def __call__(self, key: str, data: bytes) -> None:
+        self._take(key, data)
+        if self.traceback:
+            raise AssertionError(f"a traceback in the log: {self.traceback}")
+        if self.count > MOST_LINES:
+            raise Flood(f"{self.count} lines of the log, the last: {self.last}")
+        self.count *= not self._starts
 
 
 def daemon() -> Take:
@@ -178,7 +185,7 @@ def client() -> Take:
                 session.subscribers[f"hyperbit/planar16/{key}"](sample)
             return
         session.answer = data
-        with contextlib.suppress(Unanswered, CommandFailed), contextlib.redirect_stdout(io.StringIO()), at_once():
+        with contextlib.suppress(Unanswered, CommandFailed), contextlib.redirect_stdout(io.StringIO()), AT_ONCE:
             if key == "arm":
                 described = one.describe()
                 print_obstacles(described, as_json=False)
@@ -192,7 +199,7 @@ def client() -> Take:
 def player() -> Take:
     folder, began = Path(tempfile.mkdtemp(dir=ROOM)), list[Path]()
     one = Recorder("planar16", Folder(folder, "planar16"), Limits(10**9, 10**9), began=began.append)
-    for k, (key, value) in enumerate(PUBLISHED.items()):
+    for k, (key, value) in enumerate(told.published().items()):
         one.receive_message(ReceivedMessage(k * 10**9, key, json.dumps(value).encode()))
     one.end_recording()
     past, session = RecordingReader(began[0]), StillSession()
@@ -209,21 +216,15 @@ def player() -> Take:
 
 
 def bridge() -> Take:
-    """What the bridge to ROS 2 reads from the daemon."""
-    world = World(Inputs(random.Random(0)), Path(tempfile.mkdtemp(dir=ROOM)))
-    world.reopen()
+    """What the bridge to ROS 2 reads from the daemon, and from ROS 2."""
+    rig = Rig(Path(tempfile.mkdtemp(dir=ROOM)))
 
     def take(key: str, data: bytes) -> None:
-        world.bridge._attempt(world.bridge.receive_message, ReceivedMessage(0, key, data))
-        world.bridge.tick(0.0)
-
-    return take
-
-
-def ros2() -> Take:
-    def take(name: str, data: bytes) -> None:
-        with contextlib.suppress(BadMessage):
-            deserialize(data, name, TYPES)
+        if key in KINDS:
+            rig.deliver(Input(key, data, ATTACHMENT))
+            rig.threads.run()
+        else:
+            rig.hear(key, data, sure=False)
 
     return take
 
@@ -266,19 +267,42 @@ def small_files() -> Take:
     return take
 
 
-SAMPLES: dict[str, tuple[Callable[[], Take], dict[str, list[Any]]]] = {
+def simply(take: Take) -> Callable[[], Take]:
+    return lambda: take
+
+
+PUBLISHED = {key: [value] for key, value in told.published().items()}
+# What builds a reader, and valid inputs of each key: JSON, or bytes.
+READERS: dict[str, tuple[Callable[[], Take], dict[str, list[Any]]]] = {
+    "request": (
+        simply(requests.read_request),
+        {
+            "goal": [told.GOAL, told.LINE, told.CONFIGURATIONS],
+            "jog": [told.JOG],
+            "setpoint": [told.SETPOINT],
+            "measured_tip": [told.MEASURED_TIP],
+            "degrade": [told.DEGRADE],
+            "obstacles": [told.OBSTACLES, told.OBSTACLES_IN_SPACE],
+        },
+    ),
+    "arm": (
+        simply(requests.read_arm_file),
+        {"arm": [*requests.ARM_FILES, *(yaml.safe_dump(it).encode() for it in requests.ARM_FILES)]},
+    ),
+    "notation": (simply(requests.read_notation), {"notation": [it.encode() for it in requests.NOTATIONS]}),
+    "recording": (simply(read_recording), {"recording": [bytes([k]) for k in range(5)]}),
     "daemon": (
         daemon,
         {
-            **{"goal": [requests.GOAL, requests.LINE, requests.CONFIGURATIONS], "plan": [requests.GOAL]},
-            **{"jog": [requests.JOG], "degrade": [requests.DEGRADE], "obstacles": [requests.OBSTACLES]},
+            **{"goal": [told.GOAL, told.LINE, told.CONFIGURATIONS], "plan": [told.GOAL]},
+            **{"jog": [told.JOG], "degrade": [told.DEGRADE], "obstacles": [told.OBSTACLES]},
             **{"cancel": [{"id": "a-1"}], "stop": [{}], "reset": [{}], "fault": [{"fault": "power_cut can0/5"}]},
-            "poses": [{"save": "p", "goal": POSE["goal"]}, {"remove": "p"}],
-            **{"arm": [{"with": ["drawing"]}], "result": [{"id": "a-1"}], "setpoint": [requests.SETPOINT]},
+            "poses": [{"save": "p", "goal": told.POSE["goal"]}, {"remove": "p"}],
+            **{"arm": [{"with": ["drawing"]}], "result": [{"id": "a-1"}], "setpoint": [told.SETPOINT]},
         },
     ),
-    "recorder": (recorder, {**{key: [value] for key, value in PUBLISHED.items()}, "setpoint": [requests.SETPOINT]}),
-    "page": (page, {key: [value] for key, value in PUBLISHED.items()}),
+    "recorder": (recorder, {**PUBLISHED, "setpoint": [told.SETPOINT]}),
+    "page": (page, PUBLISHED),
     "page_request": (page_request, {"live": [{"do": "jog", "n": 1, "actuator": "5.left", "state": "extended"}]}),
     "http": (
         http,
@@ -287,17 +311,16 @@ SAMPLES: dict[str, tuple[Callable[[], Take], dict[str, list[Any]]]] = {
             **{"authorization": [b"Bearer abc"], "origin": [b"http://127.0.0.1:7480"], "host": [b"127.0.0.1:7480"]},
         },
     ),
-    "fleet": (fleet, {"arm": [ARM], "state": [STATE], "stop": [ANSWER]}),
+    "fleet": (fleet, {"arm": PUBLISHED["arm"], "state": PUBLISHED["state"], "stop": [told.ANSWER]}),
     "client": (
         client,
         {
-            **{key: [PUBLISHED[key]] for key in ("state", "diagnostics", "feedback", "result", "arm")},
-            **{"stop": [ANSWER], "plan": [ANSWER]},
+            **{key: PUBLISHED[key] for key in ("state", "diagnostics", "feedback", "result", "arm")},
+            **{"stop": [told.ANSWER], "plan": [told.ANSWER]},
         },
     ),
     "player": (player, {"timeline": [{"at": 2.0, "speed": 2, "paused": True}]}),
-    "bridge": (bridge, {key: [value] for key, value in PUBLISHED.items()}),
-    "ros2": (ros2, {kind: Inputs(random.Random(0))._pools[name][:3] for name, (_, kind) in KINDS.items()}),
+    "bridge": (bridge, {**PUBLISHED, **{name: [serialize({}, form, TYPES)] for name, (_, form) in KINDS.items()}}),
     "packed": (
         packed,
         {
@@ -309,7 +332,7 @@ SAMPLES: dict[str, tuple[Callable[[], Take], dict[str, list[Any]]]] = {
     "files": (
         small_files,
         {
-            "poses": [{"a": POSE["goal"]}],
+            "poses": [{"a": told.POSE["goal"]}],
             "goals": [[{"uuid": "0" * 32, "kind": "tip", "joints": ["tip_x"], "stamp": 1, "result": None}]],
             "sessions": [{"a": {"name": "anna", "role": "operator"}}],
             "people": [{"people": [{"name": "anna", "role": "viewer"}]}],
@@ -317,3 +340,25 @@ SAMPLES: dict[str, tuple[Callable[[], Take], dict[str, list[Any]]]] = {
         },
     ),
 }
+
+
+def built(name: str) -> Quiet:
+    return Quiet(READERS[name][0](), starts=name == "files")
+
+
+def samples(name: str) -> list[tuple[str, bytes]]:
+    """Returns valid inputs of a reader, and those that once did harm."""
+    valid = [
+        (key, it if isinstance(it, bytes) else json.dumps(it).encode())
+        for key, its in READERS[name][1].items()
+        for it in its
+    ]
+    found = [path.read_bytes().partition(b"\n") for path in sorted(CORPUS.glob(f"{name}-*"))]
+    return [*valid, *((key.decode(), data) for key, _, data in found)]
+
+
+def mutation(name: str, number: int) -> tuple[str, bytes]:
+    """Returns the mutation with a number of one of the samples; always the same."""
+    chance = random.Random(f"{name} {number}")
+    key, data = chance.choice(samples(name))
+    return key, mutated(data, chance)

@@ -20,9 +20,11 @@ from hyperbit.controller.recorder.player import Player, Timeline
 from hyperbit.controller.recorder.reader import RecordingReader
 from hyperbit.controller.recorder.recording import Recording
 from hyperbit.controller.recorder.repair import BadRecording
-from tests.recorder.samples import SECOND, planar, read, state, told
+from tests import told
+from tests.fuzz.mutations import changed, spoiled
+from tests.recorder.samples import SECOND, read
 
-JUNK = (None, True, -1, 2**70, 1e308, "", "*", "\0", [], [1], {}, {"a": 1}, "00", 0.5)
+NAME = "planar16-20260101T000000Z.mcap"
 
 
 class Arm:
@@ -41,27 +43,25 @@ class Arm:
         return {"status": "succeeded", "configuration": "00"}, {0: "00"}
 
 
-@cache
-def messages() -> list[tuple[str, dict[str, Any]]]:
+def messages() -> list[tuple[str, Any]]:
     """The messages of a goal with a result."""
-    arm = planar()
-    goal = {"id": "g", "stamp": 101.0, "waypoints": [{"position": [0.5, 2.9]}]}
-    answer = {"accepted": True, "id": "g", "code": 0, "message": "accepted"}
+    lock = {"stamp": 100.5, "key": "degrade", "payload": told.DEGRADE, "answer": told.ANSWER}
+    request = {"stamp": 101.0, "key": "goal", "payload": told.GOAL, "answer": told.ANSWER}
     return [
-        ("arm", told(arm)),
-        ("state", state(arm, [0] * 16, 100.0) | {"configuration": "0" * 16}),
-        ("diagnostics", {"stamp": 100.0, "counts": [1] * len(arm.manipulator.actuators)}),
-        ("request", {"stamp": 100.5, "key": "degrade", "payload": {"actuator": "1.left"}, "answer": answer}),
-        ("request", {"stamp": 101.0, "key": "goal", "payload": goal, "answer": answer}),
-        ("feedback", {"id": "g", "waypoint": 0, "configuration": "1" * 16}),
-        ("result", {"id": "g", "status": "succeeded", "code": 0, "configuration": "1" * 16, "message": "reached"}),
+        ("arm", told.described()),
+        ("state", told.state(stamp=100.0)),
+        ("diagnostics", told.DIAGNOSTICS),
+        ("request", lock),
+        ("request", request),
+        ("feedback", told.FEEDBACK),
+        ("result", told.RESULT | {"configuration": "1" * 16}),
     ]
 
 
-def write(path: Path, told: list[tuple[str, Any]]) -> bytes:
+def write(path: Path, recorded: list[tuple[str, Any]]) -> bytes:
     recording = Recording(path)
     recording.attach("a.yaml", "application/yaml", b"name: a", 0)
-    for k, (key, message) in enumerate(told):
+    for k, (key, message) in enumerate(recorded):
         recording.write(f"hyperbit/planar16/{key}", key, json.dumps(message).encode(), (100 + k) * SECOND, 1)
     recording.close()
     return path.read_bytes()
@@ -70,39 +70,23 @@ def write(path: Path, told: list[tuple[str, Any]]) -> bytes:
 @cache
 def whole() -> bytes:
     with tempfile.TemporaryDirectory() as room:
-        return write(Path(room, "planar16-20260101T000000Z.mcap"), messages() * 3)
-
-
-def spoiled(value: Any, draw: random.Random) -> Any:
-    """A JSON value with some values of another form in it."""
-    if draw.random() < 0.03:
-        return draw.choice(JUNK)
-    if isinstance(value, dict):
-        return {key: spoiled(entry, draw) for key, entry in value.items() if draw.random() > 0.02}
-    return [spoiled(entry, draw) for entry in value] if isinstance(value, list) and len(value) < 20 else value
+        return write(Path(room, NAME), messages() * 3)
 
 
 def damaged(draw: random.Random) -> bytes:
-    """A recording with flipped bytes, cut, with wrong lengths, or with zeros as flash memory has them."""
-    data = bytearray(whole())
+    """A recording with changed bytes, cut, or with a wrong length in one of its records."""
+    data = whole()
     for _ in range(draw.randrange(1, 5)):
-        at, length = draw.randrange(len(data)), draw.choice((1, 1, 4, 8, 512))
-        match draw.randrange(4):
-            case 0:
-                data[at] ^= 1 << draw.randrange(8)
-            case 1:
-                data[at : at + length] = draw.choice((b"\0", b"\xff")) * len(data[at : at + length])
-            case 2:
-                record = 8
-                for _ in range(draw.randrange(40)):
-                    follows = record + 9 + int.from_bytes(data[record + 1 : record + 9], "little")
-                    record = follows if follows + 9 < len(data) else record
-                size = draw.choice((0, 1, 21, 2**16, 2**26, 2**32, 2**63, 2**64 - 1))
-                field = record + draw.choice((1, 9, 17, 25, 33))
-                data[field : field + 8] = size.to_bytes(8, "little")
-            case 3:
-                del data[max(at, 16) : at + draw.choice((1, 8, 100, len(data)))]
-    return bytes(data)
+        data = data[:16] + changed(data[16:], draw)
+    if draw.random() < 0.3:
+        record = 8
+        for _ in range(draw.randrange(40)):
+            follows = record + 9 + int.from_bytes(data[record + 1 : record + 9], "little")
+            record = follows if follows + 9 < len(data) else record
+        field = record + draw.choice((1, 9, 17, 25, 33))
+        size = draw.choice((0, 1, 21, 2**16, 2**26, 2**32, 2**63, 2**64 - 1))
+        data = data[:field] + size.to_bytes(8, "little") + data[field + 8 :]
+    return data
 
 
 def read_all(path: Path, room: Path) -> None:
@@ -122,21 +106,21 @@ def read_all(path: Path, room: Path) -> None:
             regression.compare(past, None, lambda found: None)
 
 
-def read_recording(data: bytes) -> int:
-    """Reads one recording that is damaged, or has messages of any form; `data` is the seed of the damage."""
+def read_recording(key: str, data: bytes) -> None:
+    """Reads a recording that is damaged, or has messages of any form; `data` is the seed of the damage."""
     draw = random.Random(data)
     silent = [mock.patch.object(log, "disabled", True) for log in (files.log, folder_module.log)]
     with silent[0], silent[1], tempfile.TemporaryDirectory() as place:
-        room, path = Path(place), Path(place, "planar16-20260101T000000Z.mcap")
+        room, path = Path(place), Path(place, NAME)
         (room / "recorded").mkdir()
         if draw.random() < 0.7:
             path.write_bytes(damaged(draw))
         else:
-            write(path, [(key, spoiled(message, draw)) for key, message in messages() * 2])
+            odd = lambda it: spoiled(it, draw) if draw.random() < 0.5 else it  # noqa: E731
+            write(path, [(name, odd(message)) for name, message in messages() * 2])
         with suppress(BadRecording):
             read_all(path, room)
         path.write_bytes(whole()[:8] + path.read_bytes()[8 : -draw.randrange(1, 200)])
         Folder(room, "planar16").close()
         if path.exists():
             assert read(path) is not None, "what is repaired has no damage"
-    return 1

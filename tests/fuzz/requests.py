@@ -1,44 +1,34 @@
-"""Valid requests and arms' files, and mutations of them."""
+"""Decoders of requests, arms' files and texts: each input is read, or refused with a sentence."""
 
 from __future__ import annotations
 
-import json
-import random
-from collections.abc import Callable
+import contextlib
+import tempfile
+from pathlib import Path
 from typing import Any
 
-import yaml
-from hypothesis import strategies as st
+import numpy as np
 
-NOW = 1_800_000_000.0
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.arm.weights import weights_of
+from hyperbit.controller.armfile.settings import MOST_OBSTACLES
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import parse_goal
+from hyperbit.controller.executor.arm.arm import read_arm
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import transforms
+from hyperbit.controller.manipulator.notation import format_configuration, parse_configuration
+from hyperbit.controller.motion.decoding import goal, requests, setpoint
+from hyperbit.controller.motion.stages.pacing import Pace
+from hyperbit.controller.motion.tracking import bias
+from hyperbit.controller.refusals.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP
+from hyperbit.controller.refusals.refusal import LONGEST_SENTENCE, Refusal
+from tests import told
 
-GOAL: dict[str, Any] = {
-    "id": "a-1",
-    "stamp": NOW + 1,
-    "waypoints": [{"t": 0.0, "position": [0.55, 2.9]}, {"t": 0.5, "position": [0.5, 2.8]}],
-    "tolerance": {"position": 0.002},
-}
-LINE: dict[str, Any] = {**GOAL, "path_tolerance": 0.01}
-CONFIGURATIONS: dict[str, Any] = {"waypoints": [{"t": 0, "configuration": "071"}, {"t": 1, "configuration": "0,7,0"}]}
-JOG: dict[str, Any] = {"actuators": {"1.left": "extended", "2.right": "contracted"}}
-SETPOINT: dict[str, Any] = {"position": [0.55, 2.9, 0.1], "stamp": NOW, "tolerance": {"position": 0.002}}
-DEGRADE: dict[str, Any] = {"actuator": "5.left", "state": 0}
-MEASURED_TIP: dict[str, Any] = {"position": [0.55, 2.9], "stamp": NOW, "orientation": 0.1}
-OBSTACLES: dict[str, Any] = {
-    "regions": [
-        {"disc": {"centre": [1.0, 2.0], "radius": 0.3}, "name": "pillar"},
-        {"box": {"centre": [-1, 1], "size": [0.4, 0.2], "angle": 0.5}},
-        {"half_plane": {"point": [0, -0.2], "normal": [0, 1]}, "name": "floor"},
-    ]
-}
-OBSTACLES_IN_SPACE: dict[str, Any] = {
-    "regions": [
-        {"sphere": {"centre": [1.0, 2.0, 0.5], "radius": 0.3}},
-        {"box": {"centre": [-1, 1, 2], "size": [0.4, 0.2, 1], "orientation": [0, 0.6, 0, 0.8]}},
-        {"half_space": {"point": [0, 0, -0.2], "normal": [0, 0, 1]}},
-    ]
-}
-ARM: dict[str, Any] = {
+LONGEST = 2 * LONGEST_SENTENCE + 100  # characters of a refusal; half pairs of surrogates take six to write
+OBSTACLES, SPHERES = told.OBSTACLES["regions"], told.OBSTACLES_IN_SPACE["regions"]
+PLANAR: dict[str, Any] = {
     "name": "short",
     "modules": [
         {"type": "vgt", "count": 2, "width": 0.2, "lengths": [0.2, 0.25], "first_diagonal": "BC"},
@@ -46,13 +36,8 @@ ARM: dict[str, Any] = {
         {"type": "transforms", "states": [{"position": [0, 0.2]}, {"position": [0.1, 0.2], "orientation": 0.5}]},
     ],
     "base": {"position": [0.5, 0.25], "orientation": 0.1},
-    "tolerance": {"position": 0.002},
-    "inrush": 4,
-    "obstacles": [*OBSTACLES["regions"]],
-    "body_radius": 0.01,
-    "self_collision": True,
-    "weights": {"base": 2, "wear": 1},
-    "workspace": {"pixel": 0.01, "memory": 512},
+    **{"tolerance": {"position": 0.002}, "inrush": 4, "obstacles": OBSTACLES, "body_radius": 0.01},
+    **{"self_collision": True, "weights": {"base": 2, "wear": 1}, "workspace": {"pixel": 0.01, "memory": 512}},
     "buses": [{"name": "can0", "channel": "can0", "bitrate": 500000}],
     "boards": {"heartbeat": 0.1, "heartbeat_timeout": 0.35, "on_loss": "hold"},
     "actuators": [
@@ -64,89 +49,108 @@ ARM: dict[str, Any] = {
         {"module": 4, "actuator": "1", "bus": "can0", "node": 4, "output": 0},
     ],
 }
-SPATIAL = {
+SPATIAL: dict[str, Any] = {
     "name": "s",
     "modules": [{"type": "transforms", "states": [{"position": [0, 0, 1], "orientation": [0, 0, 0, 1]}] * 2}],
-    "tolerance": {"position": 1},
-    "obstacles": [*OBSTACLES_IN_SPACE["regions"]],
+    **{"tolerance": {"position": 1}, "obstacles": SPHERES},
 }
+ARM_FILES = (PLANAR, SPATIAL)
+NOTATIONS = ["071", "0,7,1", "11,0,1", " 0,1,1\n", "0.55,2.9", "1e-3,-2", "-1,0,0", "1_0,1,1", "٣,0,1", "9" * 5000]
+LABELS = tuple(f"{module}.{name}" for module in (1, 2) for name in ("left", "diagonal", "right"))
 
 
-def written(value: Any) -> bytes:
-    return json.dumps(value).encode()
+def arm_of(*states: int) -> Manipulator:
+    return Manipulator([transforms([frames.planar(k, 1) for k in range(n)], planar=True) for n in states])
 
 
-def plain(value: Any) -> bytes:
-    """Returns a value as YAML without aliases."""
-    return yaml.safe_dump(json.loads(json.dumps(value)), default_flow_style=None).encode()
+ARMS = (arm_of(8, 8, 2), arm_of(12, 2, 2))
 
 
-AWKWARD: list[Any] = [
-    None, True, False, 0, -1, 1, 2, 63, 64, 126, 127, 10_000, 10_001, 1 << 64, -(1 << 63), 10**400,
-    0.0, -0.0, 1e-9, 5e-324, 1e6, 1e308, -1e308, float("nan"), float("inf"), -float("inf"),
-    "", "a", "1", "nan", "can0", "vgt", "\ud800", "x" * 2000, "\0", "\n", [], {}, [[]], [0, 0], [1, 2, 3, 4], {"": 0},
-]  # fmt: skip
+def check_sentence(sentence: str) -> None:
+    assert 0 < len(sentence) <= 6 * LONGEST, f"a sentence of {len(sentence)} characters"
+    assert sentence.encode() is not None
 
 
-def places(value: Any, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    return [at, *(path for key, part in inner for path in places(part, (*at, key)))]
-
-
-def spoil(value: Any, chance: random.Random) -> Any:
-    """Returns a value with one part changed, omitted, duplicated, renamed, moved or nested."""
-    value = json.loads(json.dumps(value))
-    path = chance.choice(places(value))
-    if not path:
-        return chance.choice([value, [value], *AWKWARD])
-    *way, key = path
-    room = value
-    for step in way:
-        room = room[step]
-    match chance.randrange(8):
-        case 0:
-            del room[key]
-        case 1 if isinstance(room, list):
-            room[key:key] = [room[key]] * chance.choice([1, 2, 9])
-        case 1 | 2 if isinstance(room, dict):
-            room[chance.choice([f"{key}s", "", "type", "count", "\ud800"])] = room[key]
-        case 3:
-            room[key] = [room[key]]
-        case 4 if isinstance(room[key], int | float) and not isinstance(room[key], bool):
-            room[key] *= chance.choice([-1, 0.5, 2, 1000, 1e-12, 1e12])
-        case _:
-            room[key] = chance.choice(AWKWARD)
-    return value
-
-
-def spoiler(*right: Any) -> Callable[[bytes, random.Random], bytes]:
-    """Returns a mutation of a JSON payload, or of a valid value if the payload is no JSON."""
-
-    def spoiled(data: bytes, chance: random.Random) -> bytes:
+def read_request(key: str, data: bytes) -> None:
+    for dimension in (2, 3):
         try:
-            value = json.loads(data)
-            places(value)
-        except (ValueError, RecursionError):
-            value = chance.choice(right)
-        for _ in range(chance.choice([1, 1, 1, 2, 4])):
-            try:
-                value = spoil(value, chance)
-            except (ValueError, OverflowError, RecursionError):  # JSON with numbers that cannot be written again
-                value = chance.choice(right)
-        return written(value)
-
-    return spoiled
+            decode(key, data, dimension)
+        except Refusal as error:
+            check_sentence(str(error))
+            assert key != "goal" or error.code in (INVALID_GOAL, OLD_HEADER_TIMESTAMP)  # noqa: PT017 - no test
 
 
-def wrong(*right: Any) -> st.SearchStrategy[bytes]:
-    """Strategy of payloads: mutated valid values, spliced texts, and random bytes."""
-    spoiled = spoiler(*right)
-    seeds = [written(value) for value in right]
-    values = st.builds(
-        lambda seed, number: spoiled(seed, random.Random(number)), st.sampled_from(seeds), st.integers(0)
-    )
-    torn = st.builds(
-        lambda data, at, length, other: data[: at % len(data)] + other + data[at % len(data) + length :],
-        st.sampled_from(seeds), st.integers(0, 10_000), st.integers(0, 40), st.binary(max_size=8),
-    )  # fmt: skip
-    return values | torn | st.binary(max_size=200)
+def decode(key: str, data: bytes, dimension: int) -> None:
+    """Decodes a request of an arm in the plane or in space, and checks what was read. Raises Refusal."""
+    match key:
+        case "goal":
+            rules = goal.GoalRules(2, 0.002, 0.05, Pace(0.06), ARMS[0])
+            plan = goal.schedule(goal.parse(data), rules, told.NOW)
+            assert plan.positions.shape == (len(plan.times), 2)
+            assert np.isfinite(plan.positions).all()
+            assert np.isfinite(plan.times).all()
+            assert (np.diff(plan.times) > 0).all()
+            assert ((plan.tolerances > 0) & (plan.tolerances < 1e7)).all()
+            assert plan.waypoints[-1] == len(plan.times) - 1
+            assert all(len(states) == len(ARMS[0].actuators) for states in plan.fixed.values())
+        case "jog":
+            states = requests.decode_jog(data, LABELS).states
+            assert states
+            assert all(0 <= k < len(LABELS) and state in (0, 1) for k, state in states.items())
+        case "setpoint":
+            point = setpoint.decode(data, dimension=dimension, tolerance=0.002)
+            assert point.position.shape == (dimension,)
+            assert np.isfinite(point.position).all()
+            assert 0 < point.tolerance < 1e7
+        case "degrade":
+            lock = requests.decode_degrade(data)
+            assert isinstance(lock.actuator, str)
+            assert lock.state in (0, 1, None)
+        case "measured_tip":
+            position, stamp = bias.decode(data, dimension)
+            assert position.shape == (dimension,)
+            assert np.isfinite(position).all()
+            assert 0 <= stamp < np.inf
+        case _:
+            it = requests.decode_obstacles(data, dimension)
+            assert len(it) == len(it.kinds) == len(it.axes) == len(it.centres) == len(it.sizes) <= MOST_OBSTACLES
+            assert np.isfinite(it.depths([[0.0, 0.0, 0.0], [0.5, -3.0, 0.0]])).all()
+            assert all(it.names)
+
+
+def read_notation(key: str, data: bytes) -> None:
+    """Reads what a person writes on the command line: a configuration, and a position."""
+    text = data.decode("utf-8", "surrogateescape")
+    for arm in ARMS:
+        try:
+            configuration = parse_configuration(arm, text)
+        except ValueError as error:
+            assert str(error).startswith("configuration ")  # noqa: PT017 - no test
+            continue
+        assert parse_configuration(arm, format_configuration(arm, configuration)).tolist() == configuration.tolist()
+    with contextlib.suppress(InputFaults):
+        assert np.isfinite(parse_goal(text.split(","), 2, "--goal")[0]).all()
+
+
+def read_arm_file(key: str, data: bytes) -> None:
+    """Reads an arm's file as planner and executor do; the executor reads it without its geometry."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "arm.yaml")
+        path.write_bytes(data)
+        try:
+            arm = load(path)
+            executed = read_arm(path) if arm.wiring else None
+        except InputFaults as error:
+            assert error.faults  # noqa: PT017 - no test
+            for fault in error.faults:
+                assert "\n" not in fault, fault
+                check_sentence(fault)
+            with contextlib.suppress(InputFaults):
+                read_arm(path)
+            return
+    assert executed is None or executed.actuators == arm.manipulator.actuators, "the two processes agree"
+    assert np.isfinite(arm.manipulator.frames).all()
+    assert len(arm.wiring) in (0, len(arm.manipulator.actuators))
+    assert np.isfinite(weights_of(arm)).all()
+    assert arm.level_pixels >= 1
+    assert arm.clearance().blocked(np.zeros((1, len(arm.manipulator.modules)), dtype=int)).shape == (1,)

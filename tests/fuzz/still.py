@@ -1,23 +1,14 @@
-"""A Zenoh session without a network: tests call what was declared, and read what was sent."""
+"""A Zenoh session without a network: tests call what was declared."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
 from types import SimpleNamespace
 from typing import Any, NamedTuple
-from unittest import mock
 
 import zenoh
 
-from hyperbit.controller.network import client as network_client
-
 Take = Callable[[str, bytes], None]  # a reader of a key, or a file's name, and bytes
-
-
-def at_once() -> AbstractContextManager[object]:
-    """Lets a client ask again without a pause, after an answer that it cannot read."""
-    return mock.patch.object(network_client, "PAUSE", 0.0)
 
 
 class Sample(NamedTuple):
@@ -50,16 +41,6 @@ class Query:
         self.replies.append(data)
 
 
-class Declared:
-    matching_status = SimpleNamespace(matching=True)
-
-    def undeclare(self) -> None:
-        pass
-
-    def put(self, data: bytes) -> None:
-        pass
-
-
 class StillSession:
     """Keeps the callbacks of subscribers and queryables by key. `answer` is the reply to each query."""
 
@@ -67,33 +48,29 @@ class StillSession:
         self.subscribers: dict[str, Callable[[Any], None]] = {}
         self.queryables: dict[str, Callable[[Any], None]] = {}
         self.answer = b"{}"
-        self.sent: list[tuple[str, bytes]] = []
+        nothing = lambda *_, **__: None  # noqa: E731
+        self._declared = SimpleNamespace(matching_status=SimpleNamespace(matching=True), undeclare=nothing, put=nothing)
+        self.put = self.close = nothing
 
     def liveliness(self) -> StillSession:
         return self
 
-    def declare_subscriber(self, key: str, callback: Any, **_: Any) -> Declared:
+    def declare_subscriber(self, key: str, callback: Any, **_: Any) -> Any:
         self.subscribers[key] = getattr(callback, "callback", callback)
-        return Declared()
+        return self._declared
 
-    def declare_queryable(self, key: str, callback: Any, **_: Any) -> Declared:
+    def declare_queryable(self, key: str, callback: Any, **_: Any) -> Any:
         self.queryables[key] = getattr(callback, "callback", callback)
-        return Declared()
+        return self._declared
 
-    def declare_token(self, key: str) -> Declared:
-        return Declared()
+    def declare_token(self, key: str) -> Any:
+        return self._declared
 
-    def declare_publisher(self, key: str, **_: Any) -> Declared:
-        return Declared()
-
-    def put(self, key: str, data: bytes, **_: Any) -> None:
-        self.sent.append((key, data))
+    def declare_publisher(self, key: str, **_: Any) -> Any:
+        return self._declared
 
     def get(self, key: str, handler: Callable[[Any], None] | None = None, **_: Any) -> Iterator[Reply]:
         reply = Reply(Sample(key, zenoh.ZBytes(self.answer)))
         if handler is not None:
             handler(reply)
         return iter([reply])
-
-    def close(self) -> None:
-        pass

@@ -1,4 +1,4 @@
-"""An executor with its buses, boards and process of the simulation, a planner, and an intruder on the bus.
+"""An executor with its boards of the simulation, a planner, an operator, and an intruder on the bus.
 
 An input advances the time by what its frames and ticks take, so that runs reproduce.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from random import Random
-from typing import Literal
+from typing import Any, Literal
 
 import can
 
@@ -22,20 +22,18 @@ from hyperbit.controller.program import (
     Goodbye,
     Hello,
     Lock,
-    Program,
     Reset,
-    Stage,
     Stop,
     Up,
-    pack,
 )
 from hyperbit.drivers.canopen.run.master import Master
 from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.bus import CanBus
 from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import Event as BusEvent
 from hyperbit.drivers.canopen.wire.events import FrameIgnored, FrameReceived
 from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from tests.executor.rig import LABELS, SIZE, small_arm
-from tests.fuzz.decoder import Decoder
 from tests.fuzz.judge import Judge, Moved, Wedged
 from tests.simulation.buses.bus_model import OnItsWay
 from tests.simulation.buses.hardware import Hardware
@@ -56,6 +54,27 @@ PLANNER, OPERATOR = ClientId(1, 4001), ClientId(2, 4002)
 
 
 HEARD_WITHIN = cia301.wire_bits(8) / BUS.bitrate + WAKE_UP  # [s], from a frame on the free bus to its end
+
+
+class Decoder(CanBus):
+    """The decoding of python-can's messages by the executor's bus, one message at a time."""
+
+    def __init__(self, settings: BusWiring) -> None:
+        super().__init__(settings)
+        self._message: can.Message | None = None
+        self.open()
+        self.poll()
+
+    def decode(self, it: can.Message) -> list[BusEvent]:
+        self._message = it
+        return list(self.poll())
+
+    def _open(self) -> Any:
+        return self
+
+    def recv(self, timeout: float) -> can.Message | None:
+        message, self._message = self._message, None
+        return message
 
 
 class World(Hardware, Witness):
@@ -141,10 +160,6 @@ class World(Hardware, Witness):
         role: Literal["planner", "operator"] = "planner" if client == PLANNER else "operator"
         self.executor.hear(client, FromClient(client, Hello(VERSION, role, self.arm.name)))
 
-    @property
-    def epoch(self) -> int:
-        return self.core.modes.epoch
-
     def send(self, message: Down, client: ClientId = PLANNER) -> None:
         self.executor.hear(client, FromClient(client, message))
         self.agenda.run(WAKE_UP)
@@ -154,12 +169,6 @@ class World(Hardware, Witness):
             self._greet(one)
         self.agenda.run(WAKE_UP)
         self._end_event()
-
-    def program(self, *stages: int, step: float = 0.04) -> None:
-        number = self.core.requests.greatest + 1
-        packed = tuple(Stage(pack(states, SIZE), k * step, k, k * step) for k, states in enumerate(stages))
-        start, epoch = pack(self.master.outputs, SIZE), self.core.modes.epoch
-        self.send(Program(number, epoch, start, 0.0, packed, True, False, "goal"))
 
     def attack(self, it: can.Message) -> None:
         standard = not (it.is_extended_id or it.is_remote_frame or it.is_error_frame or it.is_fd)
@@ -222,7 +231,7 @@ class World(Hardware, Witness):
             self.send(Lock(2, k, -1))
         if self.core.modes.mode != "ready":
             self.send(Stop(3))
-            self.send(Reset(4, self.epoch))
+            self.send(Reset(4, self.core.modes.epoch))
             self.go(15)
         self.judge.clear()
         if self.core.modes.mode != "ready":

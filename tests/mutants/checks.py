@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import logging
 import os
-import random
 import signal
 import sys
 import tempfile
@@ -80,8 +79,7 @@ def simulate(mutant: Mutant | None, steps: int, first: int = 0) -> Result:
             _plant(mutant, folder)
         of_ros2 = mutant is not None and room_of(mutant.file) == "controller/ros2"
         try:
-            from tests.ros2.fuzz.inputs import Inputs
-            from tests.ros2.fuzz.world import World
+            from tests.ros2.world.world import World
             from tests.simulation.__main__ import KINDS, STEPS_A_SEED, Turns, world_of
             from tests.simulation.whole.planner_process import LOGS
         except Exception as error:
@@ -96,7 +94,7 @@ def simulate(mutant: Mutant | None, steps: int, first: int = 0) -> Result:
             watch, why = _Watch(), ""
             try:
                 if of_ros2:
-                    watch.world = world = World(Inputs(random.Random(seed)), Path(tempfile.mkdtemp(dir=folder)))
+                    watch.world = world = World(Path(tempfile.mkdtemp(dir=folder)), seed)
                     world.run(MESSAGES_A_SEED)
                 else:
                     watch.world = simulated = world_of(seed, kind)

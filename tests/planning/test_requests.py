@@ -14,7 +14,8 @@ from hyperbit.controller.planning.core.events import CancelMessage, Key, SentObs
 from hyperbit.controller.planning.planner import RequestDecoder
 from hyperbit.controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
 from hyperbit.controller.refusals.refusal import Refusal
-from tests.fuzz.requests import CONFIGURATIONS, DEGRADE, GOAL, JOG, LINE, OBSTACLES, SETPOINT, wrong
+from tests.fuzz.mutations import wrong
+from tests.told import CONFIGURATIONS, DEGRADE, GOAL, JOG, LINE, OBSTACLES, SETPOINT
 
 KEYS: tuple[Key, ...] = get_args(Key)
 NO_JSON = b"\xff\xfe"

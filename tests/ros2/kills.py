@@ -1,4 +1,4 @@
-"""Kills bridge, router, planner, executor, or both of these, while goals of an action client run.
+"""Kills bridge, router, planner, executor, or both of these, while a goal of an action client runs.
 
 Each accepted goal has exactly one result.
 
@@ -6,58 +6,30 @@ python -m tests.ros2.kills [--each 20] [router bridge ...]
 """
 
 import argparse
-import tempfile
-import threading
-import time
-import uuid
 from collections import Counter
 from contextlib import ExitStack
-from pathlib import Path
 
-from tests.ros2.client import Client, Result
-from tests.ros2.rig import Rig, begin, result_of
+from tests.ros2.client import tip
+from tests.ros2.processes import PATIENCE, VICTIMS, System
+from tests.waiting import eventually
 
-VICTIMS = {"bridge": ["bridge"], "planner": ["planner"], "executor": ["executor"], "daemon": ["executor", "planner"]}
-PLACES = ((1.4, 2.3), (-1.4, 2.3))
-
-
-def kill(rig: Rig, victim: str) -> None:
-    if victim == "router":
-        rig.router.stop()
-        time.sleep(0.3)
-        rig.router.start()
-        return
-    for name in VICTIMS[victim]:
-        rig.kill(name)
-    for name in VICTIMS[victim]:
-        rig.start(name)
+HOUR = 3600.0
+GOES_ON = ("router", "bridge")  # the goal runs on, until its client cancels it
 
 
-def goal_with_kill(rig: Rig, client: Client, victim: str, number: int) -> Result | None:
-    goal = uuid.uuid4().bytes
-    if not begin(client, goal, *PLACES[number % 2]):
-        return None
-    found: list[Result] = []
-    waiting = threading.Thread(target=lambda: found.append(result_of(client, goal)))
-    waiting.start()
-    kill(rig, victim)
-    waiting.join()
-    assert found, f"goal {goal.hex()} has no result: {rig.said[-5:]}, {rig.log('bridge')}, {rig.log('planner')[-2000:]}"
-    again = result_of(client, goal)
-    assert again == found[0], f"two results of one goal: {found[0]} and {again}"
-    return again
-
-
-def run(rig: Rig, victim: str, each: int) -> Counter[str]:
-    ends: Counter[str] = Counter()
-    client = rig.client()
-    number = 0
-    while ends.total() - ends["rejected"] < each:
-        rig.await_ready()
-        result = goal_with_kill(rig, client, victim, number)
-        ends["rejected" if result is None else result.error_string.partition(":")[0]] += 1
-        number += 1
-    return ends
+def kill(system: System, victim: str) -> str:
+    """Kills while a goal of an hour runs; returns how the goal ended."""
+    system.await_ready()
+    client = system.tip
+    goal, accepted = system.begin(client, tip((1.4, 2.3), (-1.4, 2.3), step=HOUR))
+    assert accepted, system.said[-5:]
+    eventually(lambda: [it for it in client.feedback if bytes(it.goal_id.uuid) == goal], PATIENCE)
+    system.kill(victim)
+    if victim in GOES_ON:
+        eventually(lambda: system.canceled(client, goal), PATIENCE, every=0.1)
+    result = system.result(client, goal)
+    assert system.result(client, goal) == result, "one goal, one result"
+    return result.error_string.partition(":")[0]
 
 
 def main() -> None:
@@ -66,9 +38,10 @@ def main() -> None:
     parser.add_argument("victims", nargs="*", help="what is killed; by default each in turn")
     options = parser.parse_args()
     with ExitStack() as closing:
-        rig = Rig(Path(closing.enter_context(tempfile.TemporaryDirectory())), closing, travel_time=1.0)
+        system = System(closing)
         for victim in options.victims or ("router", *VICTIMS):
-            print(f"{victim}: {options.each} kills, {dict(run(rig, victim, options.each))}", flush=True)
+            ends = Counter(kill(system, victim) for _ in range(options.each))
+            print(f"{victim}: {options.each} kills, {dict(ends)}", flush=True)
 
 
 if __name__ == "__main__":

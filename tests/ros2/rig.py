@@ -1,136 +1,72 @@
-"""A router, an executor with simulated boards, a planner, and a bridge, each of which can be killed."""
+"""The bridge with a played daemon, without a network: words for scenarios, with one goal of the tip."""
 
-import os
-import re
-import subprocess
-import sys
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from hyperbit.controller.ros2.wire import qos
-from hyperbit.controller.ros2.wire.node import Node
-from hyperbit.controller.ros2.wire.session import Session
-from tests.ros2.client import Client, Result, trajectory
-from tests.ros2.wire.conftest import Router
-from tests.system.stack import arms
-from tests.waiting import eventually
+import pytest
 
-ACTION = "control_msgs/action/FollowJointTrajectory"
-ROSOUT = qos.Qos(durability=qos.Durability.TRANSIENT_LOCAL, depth=1000)
-TIP = "flat/tip_controller/follow_joint_trajectory"
-OF_TOPIC = re.compile(r"goal (ros2-goal_p\S+) (is accepted|is refused|\w+)")
-PATIENCE = 300.0  # [s]; a busy machine starts a daemon slowly
+from hyperbit.controller.ros2.wire.action_events import Status
+from hyperbit.controller.ros2.wire.cdr import message
+from tests.ros2.world.inputs import ACTION, TIP, TYPES
+from tests.ros2.world.network import Killed
+from tests.ros2.world.world import World
+
+UUID = bytes(range(16))
+ID = f"ros2-{UUID.hex()}"
+CANCEL = ("cancel", ID)
 
 
-class Rig:
-    """The arm `flat` in a ROS 2 system.
-
-    Attributes:
-        router: in place of ROS 2's router; the daemon joins it as well.
-
-    Args:
-        travel_time: of the arm's actuators [s].
-    """
-
-    def __init__(self, folder: Path, closing: ExitStack, travel_time: float = 0.05) -> None:
-        self.router, self._folder, self._closing = Router(), folder, closing
-        closing.callback(lambda: self.router.stop())
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
-        closing.callback(self._end)
-        fields = {"travel_time": travel_time, "inrush": 4}
-        self._arm = arms.write(folder, "planar", "flat", {"channel": "can0"}, fields)
-        self.session = Session(self.router.endpoint, PATIENCE)
-        closing.callback(self.session.close)
-        self.node = Node(self.session, "peer")
-        self.said: list[str] = []
-        self.node.subscriber("/rosout", "rcl_interfaces/msg/Log", lambda it: self.said.append(it.message.msg), ROSOUT)
-        for name in ("executor", "planner", "bridge"):
-            self.start(name)
-
-    def start(self, name: str) -> None:
-        boards = [str(self._arm), "--simulate", "--socket", str(self._folder / "executor.sock")]
-        words = {
-            "executor": ["execute", *boards],
-            "planner": ["run", *boards, "--connect", self.router.endpoint],
-            "bridge": ["ros2", "flat", "--connect", self.router.endpoint, "--ros", self.router.endpoint],
-        }[name]
-        environment = {**os.environ, "RUNTIME_DIRECTORY": str(self._folder), "STATE_DIRECTORY": str(self._folder)}
-        with (self._folder / f"{name}.log").open("ab") as log:
-            self._processes[name] = subprocess.Popen(
-                [sys.executable, "-m", "hyperbit", *words],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                env=environment,
-            )
-
-    def kill(self, name: str) -> None:
-        self._processes[name].kill()
-        self._processes[name].wait()
-
-    def log(self, name: str) -> str:
-        return (self._folder / f"{name}.log").read_text()
-
-    def hear(self, topic: str, type_name: str, quality: qos.Qos = qos.DEFAULT) -> list[Any]:
-        heard: list[Any] = []
-        self.node.subscriber(topic, type_name, lambda it: heard.append(it.message), quality)
-        return heard
-
-    def await_words(self, *words: str, since: int = 0) -> str:
-        """Waits for a sentence on /rosout, from number `since`, that has these words."""
-
-        def found() -> str:
-            return next((it for it in self.said[since:] if all(word in it for word in words)), "")
-
-        return eventually(found, PATIENCE, lambda: f"{words}: {self.said[-5:]}, {self.log('bridge')[-500:]}")
-
-    def await_ready(self) -> None:
-        states: list[Any] = []
-        name = "diagnostic_msgs/msg/DiagnosticArray"
-        subscriber = self.node.subscriber("/diagnostics", name, lambda it: states.append(it.message))
-        eventually(
-            lambda: states and states[-1].status[0].message.startswith("ready"),
-            PATIENCE,
-            lambda: f"{self.said}, {self.log('bridge')}, {self.log('planner')}",
-        )
-        subscriber.close()
-
-    def await_end(self) -> None:
-        """Waits until no goal of a topic runs; only the bridge's sentences tell these goals' ids."""
-
-        def ended() -> bool:
-            last = {match[1]: match[2] for it in self.said if (match := OF_TOPIC.match(it))}
-            return "is accepted" not in last.values()
-
-        eventually(ended, PATIENCE, lambda: str(self.said[-10:]))
-
-    def client(self, action: str = TIP) -> Client:
-        return Client(self.session.zenoh, action)
-
-    def _end(self) -> None:
-        for process in reversed(self._processes.values()):
-            process.terminate()
-        for process in self._processes.values():
-            try:
-                process.wait(30)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+def pose_stamped(x: float, y: float, z: float = 0.0, **header: Any) -> Any:
+    fields = {"header": header, "pose": {"position": {"x": x, "y": y, "z": z}}}
+    return message(fields, "geometry_msgs/msg/PoseStamped", TYPES)
 
 
-def begin(client: Client, goal: bytes, x: float, y: float) -> bool:
-    """Sends a goal of the tip until a server answers; returns whether it was accepted."""
-    fields = trajectory(["tip_x", "tip_y"], [[x, y]], 0.0)
-    answer = eventually(lambda: client.send(goal, fields), PATIENCE, every=0.1)
-    return answer[0]
+def trajectory_goal(joints: list[str], rows: list[list[float]], **fields: Any) -> Any:
+    """A goal of FollowJointTrajectory, a point a second."""
+    points = [{"positions": row, "time_from_start": {"sec": k}} for k, row in enumerate(rows)]
+    given = {"joint_names": joints, "points": points, **fields.pop("trajectory", {})}
+    return message({"trajectory": given, **fields}, f"{ACTION}_Goal", TYPES)
 
 
-def result_of(client: Client, goal: bytes) -> Result:
-    """Asks for a result until one comes: a client whose server died asks again."""
+class Rig(World):
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.turn()
 
-    def asked() -> Result | None:
-        found = client.get_result(goal)
-        return found if found is not None and found.status != 0 else None
+    def send_goal(self, action: str = TIP, goal: Any = None, *, run: bool = True) -> bool:
+        """Sends the goal; returns whether it was accepted."""
+        given = goal or trajectory_goal(["tip_x", "tip_y"], [[0.4, 2.9]])
+        replies = self.call(f"{action}/send_goal", run=run, goal_id={"uuid": UUID}, goal=given)
+        return bool(replies and replies[0].accepted)
 
-    return eventually(asked, PATIENCE, every=0.1)
+    def send_pose(self) -> None:
+        self.call("goal_pose", header={"frame_id": "world"}, pose={"position": {"x": 0.4, "y": 2.9}}, run=False)
+
+    def cancel(self, *, run: bool = False) -> bool:
+        """Cancels the goal; returns whether its client was told so."""
+        replies = self.call(f"{TIP}/cancel_goal", run=run, goal_info={"goal_id": {"uuid": UUID}})
+        return bool(replies and replies[0].goals_canceling)
+
+    def killed_in(self, act: Any) -> None:
+        """Does something; the bridge is killed before it replies."""
+        self.kill_at_reply = True
+        with pytest.raises(Killed):
+            act()
+        self.kill_at_reply = False
+
+    def get_result(self, action: str = TIP) -> list[Any]:
+        """Asks for the result of the goal; returns the list that receives it."""
+        return self.call(f"{action}/get_result", goal_id={"uuid": UUID})
+
+    def result(self) -> tuple[Status, int, str]:
+        """Returns status, code and sentence of the goal's result, which must be there."""
+        (reply,) = self.get_result()
+        return Status(reply.status), reply.result.error_code, reply.result.error_string
+
+    def tell_end(self, status: str) -> None:
+        """Ends the goal; the bridge hears of it."""
+        self.hear("result", self.daemon.end(status))
+
+    @property
+    def status(self) -> Status:
+        return self.judge.goals[TIP, UUID].status

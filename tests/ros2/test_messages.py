@@ -1,16 +1,25 @@
 """States and diagnostics of the daemon as messages of ROS 2; each must fit its type."""
 
 import math
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import yaml
 
 from hyperbit.controller.pictures.scene import FoxgloveScene
 from hyperbit.controller.ros2 import messages
 from hyperbit.controller.ros2.robot import angles, urdf
+from hyperbit.controller.ros2.wire import tokens
 from hyperbit.controller.ros2.wire.cdr import deserialize, serialize
-from tests.ros2.samples import TYPES, chain, state, told
+from hyperbit.controller.ros2.wire.qos import Durability, Reliability
+from hyperbit.controller.ros2.wire.tokens import Kind
+from tests import told
+from tests.keys import DEPLOY
+from tests.ros2.rig import Rig
+from tests.ros2.world.inputs import TYPES
+from tests.told import arm, described, state
 
 
 def sent(fields: object, name: str) -> object:
@@ -19,19 +28,21 @@ def sent(fields: object, name: str) -> object:
 
 def test_joints_are_0_or_1_or_unknown() -> None:
     measured = [1, None, *state()["measured"][2:]]
-    it = sent(messages.joint_state(state(measured=measured), chain().actuators), "sensor_msgs/msg/JointState")
+    it = sent(messages.joint_state(state(measured=measured), arm().manipulator.actuators), "sensor_msgs/msg/JointState")
     assert it.name[:3] == ["1.left", "1.diagonal", "1.right"]
     assert (it.position[0], it.position[2]) == (1.0, 0.0)
     assert math.isnan(it.position[1])
     assert it.header.stamp.sec == 1_500_000_000
 
 
-@pytest.mark.parametrize("arm", ["planar16", "platform8"])
-def test_frames_lead_from_the_world_to_the_tip(arm: str) -> None:
-    scene = FoxgloveScene(told(arm))
-    fields = {"transforms": messages.transforms(scene, state(arm), "map")}
+@pytest.mark.parametrize("name", ["planar16", "platform8"])
+def test_frames_lead_from_the_world_to_the_tip(name: str) -> None:
+    scene = FoxgloveScene(described(name))
+    fields = {"transforms": messages.transforms(scene, state(name), "map")}
     frames = sent(fields, "tf2_msgs/msg/TFMessage").transforms
-    assert [it.child_frame_id for it in frames] == [f"{arm}/{k}" for k in range(len(chain(arm).modules) + 1)]
+    assert [it.child_frame_id for it in frames] == [
+        f"{name}/{k}" for k in range(len(arm(name).manipulator.modules) + 1)
+    ]
     assert [it.header.frame_id for it in frames] == ["map", *(it.child_frame_id for it in frames[:-1])]
     whole = np.eye(4)
     for it in frames:
@@ -45,7 +56,7 @@ def test_frames_lead_from_the_world_to_the_tip(arm: str) -> None:
         ]
         own[:3, 3] = place.x, place.y, place.z
         whole = whole @ own
-    tip = messages.tip_pose(state(arm), "map")
+    tip = messages.tip_pose(state(name), "map")
     assert tip is not None
     shown = sent(tip, "geometry_msgs/msg/PoseStamped").pose.position
     assert whole[:3, 3] == pytest.approx([shown.x, shown.y, shown.z], abs=1e-6)
@@ -57,26 +68,23 @@ def test_a_tip_that_is_not_known_is_not_shown() -> None:
 
 def test_markers_that_are_gone_are_deleted() -> None:
     obstacles = [{"name": "a", "disc": {"centre": [2.0, 2.0], "radius": 0.3}}]
-    markers = messages.Markers(FoxgloveScene({**told(), "obstacles": obstacles}), "planar16", 4.0, "world")
+    markers = messages.Markers(FoxgloveScene({**described(), "obstacles": obstacles}), "planar16", 4.0, "world")
     first = sent(markers.array(state(target={"position": [0.5, 2.8]})), "visualization_msgs/msg/MarkerArray").markers
     assert len(first) == 16 + 2
     assert len({(it.ns, it.id) for it in first}) == 18
-    markers.scene = FoxgloveScene({**told(), "obstacles": []})
+    markers.scene = FoxgloveScene({**described(), "obstacles": []})
     second = sent(markers.array(state()), "visualization_msgs/msg/MarkerArray").markers
     assert {it.ns for it in second if it.action == messages.DELETE} == {"planar16 goal", "planar16 obstacles"}
     assert len(second) == 16 + 2
 
 
 def test_diagnostics_are_in_words() -> None:
-    fault = {"code": "board-lost", "source": "can0/5", "message": "board can0/5 is silent"}
-    told = {
-        "buses": [{"name": "can0", "state": "connected", "load": 0.1}],
-        "boards": [{"bus": "can0", "node": 5, "state": "lost"}],
+    health = told.DIAGNOSTICS | {
         "loop": {"late_worst": 0.001},
-        "executor": "connected",
+        "buses": [{"name": "can0", "state": "connected", "load": 0.1}],
     }
-    homes = {"homing": ["1.left", "1.right"]}
-    fields = messages.diagnostics("a", state(mode="fault", reason="can0/5 is silent", faults=[fault]) | homes, told)
+    reason = {"mode": "fault", "reason": "can0/5 is silent", "faults": [told.FAULT], "homing": ["1.left", "1.right"]}
+    fields = messages.diagnostics("a", state(**reason), health)
     found = {it.name: it for it in sent(fields, "diagnostic_msgs/msg/DiagnosticArray").status}
     assert {name: int(it.level) for name, it in found.items()} == {
         "a: arm": messages.FAULTY,
@@ -90,16 +98,18 @@ def test_diagnostics_are_in_words() -> None:
     assert [(it.key, it.value) for it in found["a: bus can0"].values] == [("load", "0.1")]
 
 
-@pytest.mark.parametrize("arm", ["planar16", "motor12", "platform8"])
-def test_the_robot_is_one_tree_with_a_joint_an_actuator(arm: str) -> None:
-    robot = ElementTree.fromstring(urdf(arm, "world", chain(arm)))
+@pytest.mark.parametrize("name", ["planar16", "motor12", "platform8"])
+def test_the_robot_is_one_tree_with_a_joint_an_actuator(name: str) -> None:
+    robot = ElementTree.fromstring(urdf(name, "world", arm(name).manipulator))
     links = [it.get("name") for it in robot.iter("link")]
     joints = {it.get("name"): it for it in robot.iter("joint")}
     assert len(set(links)) == len(links) == len(joints) + 1
-    assert {name for name, it in joints.items() if it.get("type") == "prismatic"} == set(chain(arm).actuators)
+    assert {name for name, it in joints.items() if it.get("type") == "prismatic"} == set(
+        arm(name).manipulator.actuators
+    )
     parents = {it.find("child").get("link"): it.find("parent").get("link") for it in joints.values()}  # type: ignore[union-attr]
     assert set(links) - set(parents) == {"world"}
-    assert parents[f"{arm}/tip"] == f"{arm}/{len(chain(arm).modules)}"
+    assert parents[f"{name}/tip"] == f"{name}/{len(arm(name).manipulator.modules)}"
 
 
 def test_angles_about_fixed_axes_give_the_frame() -> None:
@@ -111,3 +121,26 @@ def test_angles_about_fixed_axes_give_the_frame() -> None:
         frame = np.eye(4)
         frame[:3, :3] = z @ y @ x
         assert angles(frame) == pytest.approx((roll, pitch, yaw))
+
+
+SHOWN = {  # types by what RViz shows or sends
+    "rviz_default_plugins/MarkerArray": "visualization_msgs::msg::dds_::MarkerArray_",
+    "rviz_default_plugins/Pose": "geometry_msgs::msg::dds_::PoseStamped_",
+    "rviz_default_plugins/SetGoal": "geometry_msgs::msg::dds_::PoseStamped_",
+}
+
+
+def test_rviz_is_configured_for_topics_of_the_bridge(rig: Rig) -> None:
+    manager: dict[str, Any] = yaml.safe_load((DEPLOY / "planar16.rviz").read_text())["Visualization Manager"]
+    wanted = [it for it in (*manager["Displays"], *manager["Tools"]) if "Topic" in it]
+    assert [it["Class"] for it in wanted] == list(SHOWN)
+    assert manager["Global Options"]["Fixed Frame"] == "world"
+    found = [tokens.parse(it) for it in rig.network.tokens]
+    offered = {(it.kind, it.endpoint.name): it.endpoint for it in found if it.endpoint}
+    for one in wanted:
+        topic = one["Topic"]
+        kind = Kind.SUBSCRIBER if one["Class"].endswith("SetGoal") else Kind.PUBLISHER
+        endpoint = offered[kind, topic["Value"]]
+        assert endpoint.type == SHOWN[one["Class"]]
+        assert (endpoint.qos.reliability, endpoint.qos.durability) == (Reliability.RELIABLE, Durability.VOLATILE)
+        assert (topic["Reliability Policy"], topic["Durability Policy"]) == ("Reliable", "Volatile")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import logging
 import threading
-import time
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,6 +15,7 @@ from hyperbit.controller.ros2.wire.action_events import GoalInfo, Status
 from hyperbit.controller.ros2.wire.cdr import message, serialize
 from hyperbit.controller.ros2.wire.names import resolve
 from hyperbit.controller.ros2.wire.services import Request
+from hyperbit.controller.ros2.wire.session import Computer
 
 if TYPE_CHECKING:
     from hyperbit.controller.ros2.wire.node import Node
@@ -43,7 +43,7 @@ class GoalHandle:
         return self._server.status(self.uuid)
 
     def accept(self) -> None:
-        self._server.step(events.GoalDecided(self.uuid, accepted=True, stamp=stamp_now()))
+        self._server.step(events.GoalDecided(self.uuid, accepted=True, stamp=self._server.stamp()))
 
     def reject(self) -> None:
         self._server.step(events.GoalDecided(self.uuid, accepted=False, stamp=0))
@@ -96,7 +96,7 @@ class ActionServer:
     def __init__(
         self, node: Node, name: str, type_name: str, on_goal: Callable[[GoalHandle], None], policy: Policy
     ) -> None:
-        self._types, self._type = node.types, type_name
+        self._types, self._type, self._computer = node.types, type_name, node.session.computer
         self._on_goal, self._policy = on_goal, policy
         self._core = ActionCore(policy.result_timeout, policy.most_goals)
         self._lock = threading.Lock()
@@ -109,9 +109,17 @@ class ActionServer:
         node.service(f"{base}/get_result", f"{type_name}_GetResult", self._on_result_request)
         node.service(f"{base}/send_goal", f"{type_name}_SendGoal", self._on_goal_request)
 
+    @property
+    def open(self) -> int:
+        """Number of requests that wait for a reply."""
+        return len(self._requests)
+
     def status(self, uuid: bytes) -> Status:
         with self._lock:
             return self._core.status(uuid)
+
+    def stamp(self) -> int:
+        return stamp_now(self._computer)
 
     def restore(self, uuid: bytes, stamp: int, status: Status, result: Any = None) -> GoalHandle:
         """Returns a goal that an earlier server had accepted. Its message is unknown.
@@ -144,7 +152,7 @@ class ActionServer:
     def step(self, event: events.Event) -> None:
         calls: list[Callable[[], None]] = []
         with self._lock:  # replies and publications keep the core's order
-            for action in self._core.step(event, time.monotonic()):
+            for action in self._core.step(event, self._computer.monotonic()):
                 self._carry_out(action, calls)
         for call in calls:  # the program may call back
             call()
@@ -223,9 +231,9 @@ def _uuid(holder: Any) -> bytes:
     return bytes(holder.goal_id.uuid)
 
 
-def stamp_now() -> int:
+def stamp_now(computer: Computer) -> int:
     """Returns the UNIX time [ns], at most LATEST: the clock may be set to any year."""
-    return min(time.time_ns(), LATEST)
+    return min(computer.time_ns(), LATEST)
 
 
 def _time(stamp: int) -> dict[str, int]:

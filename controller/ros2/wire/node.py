@@ -85,24 +85,24 @@ class Node:
             UnknownType: the type is not known.
         """
         token, key = self._endpoint(Kind.PUBLISHER, topic, type_name, qos)
-        return self._keep(Publisher(self.session.zenoh, token, key, type_name, self.types))
+        return self._keep(Publisher(self.session, token, key, type_name, self.types))
 
     def subscriber(
         self, topic: str, type_name: str, callback: Callable[[Received], None], qos: Qos = presets.DEFAULT
     ) -> Subscriber:
         """Returns a subscriber. Arguments and errors are those of `publisher`."""
         token, key = self._endpoint(Kind.SUBSCRIBER, topic, type_name, qos)
-        return self._keep(Subscriber(self.session.zenoh, token, key, type_name, callback, self.types))
+        return self._keep(Subscriber(self.session, token, key, type_name, callback, self.types))
 
     def service(self, name: str, type_name: str, handler: Callable[[Request], None]) -> Service:
         """Returns a service. Arguments and errors are those of `publisher`."""
         token, key = self._endpoint(Kind.SERVICE, name, type_name, presets.DEFAULT)
-        return self._keep(Service(self.session.zenoh, token, key, type_name, handler, self.types))
+        return self._keep(Service(self.session, token, key, type_name, handler, self.types))
 
     def client(self, name: str, type_name: str) -> Client:
         """Returns a client of a service. Arguments and errors are those of `publisher`."""
         token, key = self._endpoint(Kind.CLIENT, name, type_name, presets.DEFAULT)
-        return self._keep(Client(self.session.zenoh, token, key, type_name, self.types))
+        return self._keep(Client(self.session, token, key, type_name, self.types))
 
     def action_server(
         self, name: str, type_name: str, on_goal: Callable[[GoalHandle], None], policy: Policy = Policy()

@@ -2,7 +2,6 @@ import contextlib
 import itertools
 import logging
 import threading
-import time
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
@@ -12,6 +11,7 @@ import zenoh
 from hyperbit.controller.ros2.wire import attachments
 from hyperbit.controller.ros2.wire.attachments import Attachment, BadAttachment
 from hyperbit.controller.ros2.wire.cdr import serialize
+from hyperbit.controller.ros2.wire.session import Session
 from hyperbit.controller.ros2.wire.tokens import Token
 from hyperbit.controller.ros2.wire.topics import Dropped, Received, receive
 from hyperbit.controller.ros2.wire.types import Types
@@ -51,7 +51,7 @@ class Service:
 
     def __init__(
         self,
-        session: zenoh.Session,
+        session: Session,
         token: Token,
         key: str,
         name: str,
@@ -63,9 +63,10 @@ class Service:
         self._key, self._name, self._handler, self._types = key, name, handler, types
         self._lock, self._numbers = threading.Lock(), itertools.count()
         self._open: dict[int, zenoh.Query] = {}
+        self._time_ns = session.computer.time_ns
         # Clients of rmw_zenoh query only services that are declared complete.
-        self._queryable = session.declare_queryable(key, self._on_query, complete=True)
-        self._token = session.liveliness().declare_token(token.text)
+        self._queryable = session.zenoh.declare_queryable(key, self._on_query, complete=True)
+        self._token = session.zenoh.liveliness().declare_token(token.text)
 
     @property
     def open(self) -> int:
@@ -107,7 +108,7 @@ class Service:
         with query, contextlib.suppress(BadAttachment, zenoh.ZError):
             source = attachments.parse(None if query.attachment is None else query.attachment.to_bytes())
             data = serialize(REFUSED.get(self._name, {}), f"{self._name}_Response", self._types)
-            attachment = Attachment(source.sequence, time.time_ns(), source.gid).data
+            attachment = Attachment(source.sequence, self._time_ns(), source.gid).data
             query.reply(self._key, data, attachment=attachment)
 
     def _reply(self, number: int, received: Received, value: Any) -> None:
@@ -116,7 +117,7 @@ class Service:
             query = self._open.pop(number, None)
         if query is None:
             return
-        attachment = Attachment(received.sequence, time.time_ns(), received.gid).data
+        attachment = Attachment(received.sequence, self._time_ns(), received.gid).data
         with contextlib.suppress(zenoh.ZError), query:  # the client or the session is gone
             query.reply(self._key, data, attachment=attachment)
 
@@ -124,11 +125,11 @@ class Service:
 class Client:
     """Calls one service. Thread-safe, but not for a callback, since it waits."""
 
-    def __init__(self, session: zenoh.Session, token: Token, key: str, name: str, types: Types) -> None:
+    def __init__(self, session: Session, token: Token, key: str, name: str, types: Types) -> None:
         self.token = token
         self._session, self._key, self._name, self._types = session, key, name, types
         self._numbers, self._gid = itertools.count(1), token.gid
-        self._token = session.liveliness().declare_token(token.text)
+        self._token = session.zenoh.liveliness().declare_token(token.text)
 
     def call(self, value: Any, timeout: float = 10.0) -> Received:
         """Returns the first response to a request; several services of one name all get it.
@@ -142,10 +143,10 @@ class Client:
             NoReply: no valid response came.
         """
         data = serialize(value, f"{self._name}_Request", self._types)
-        replies = self._session.get(
+        replies = self._session.zenoh.get(
             self._key,
             payload=data,
-            attachment=Attachment(next(self._numbers), time.time_ns(), self._gid).data,
+            attachment=Attachment(next(self._numbers), self._session.computer.time_ns(), self._gid).data,
             target=zenoh.QueryTarget.ALL_COMPLETE,
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=timeout,

@@ -6,9 +6,14 @@ The session is a client, because a peer behind the router exchanges no data with
 import itertools
 import json
 import threading
-from typing import Self
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor, ThreadPoolExecutor
+from typing import Any, NamedTuple, Self
+from uuid import UUID, uuid4
 
 import zenoh
+import zenoh.ext
 
 from hyperbit.controller.ros2.wire.tokens import ADMIN_SPACE, BadToken, Token, parse
 
@@ -19,6 +24,21 @@ LONGEST_PAUSE = 4.0  # [s] between two attempts to reach the router
 
 class NoRouter(ConnectionError):
     """The router does not answer."""
+
+
+class Computer(NamedTuple):
+    """Clocks, chance and threads of nodes and bridges. A simulation has its own."""
+
+    monotonic: Callable[[], float] = time.monotonic  # [s]
+    time_ns: Callable[[], int] = time.time_ns  # [ns since 1970]
+    sleep: Callable[[float], None] = time.sleep
+    uuid: Callable[[], UUID] = uuid4
+    pool: Callable[[int, str], Executor] = ThreadPoolExecutor  # number and name of the threads
+    condition: Callable[[], threading.Condition] = threading.Condition
+
+    def time(self) -> float:
+        """Returns the UNIX time [s]."""
+        return self.time_ns() / 1e9
 
 
 class Session:
@@ -39,6 +59,7 @@ class Session:
             reason = str(error).split(" at /")[0].strip()
             raise NoRouter(f"no router at {router!r} within {timeout:g} s: {reason}") from None
         self.zid = str(self.zenoh.zid())  # the session's id in tokens
+        self.computer = Computer()
         self._numbers = itertools.count()
         self._lock = threading.Lock()
 
@@ -55,6 +76,14 @@ class Session:
         """Returns the number of a new node or endpoint of this session."""
         with self._lock:
             return str(next(self._numbers))
+
+    def declare_publisher(self, key: str, **options: Any) -> "zenoh.ext.AdvancedPublisher":
+        return zenoh.ext.declare_advanced_publisher(self.zenoh, key, **options)
+
+    def declare_subscriber(
+        self, key: str, handler: Callable[[zenoh.Sample], None], **options: Any
+    ) -> "zenoh.ext.AdvancedSubscriber[None]":
+        return zenoh.ext.declare_advanced_subscriber(self.zenoh, key, handler, **options)
 
     def connected(self) -> bool:
         """Returns whether the session has a connection to the router."""

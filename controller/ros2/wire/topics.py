@@ -1,7 +1,6 @@
 import contextlib
 import logging
 import threading
-import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -13,6 +12,7 @@ from hyperbit.controller.ros2.wire import attachments
 from hyperbit.controller.ros2.wire.attachments import Attachment, BadAttachment
 from hyperbit.controller.ros2.wire.cdr import MOST_BYTES, BadMessage, deserialize, serialize
 from hyperbit.controller.ros2.wire.qos import History, Qos
+from hyperbit.controller.ros2.wire.session import Session
 from hyperbit.controller.ros2.wire.tokens import Token
 from hyperbit.controller.ros2.wire.types import Types
 
@@ -55,20 +55,20 @@ def receive(payload: zenoh.ZBytes | None, attachment: zenoh.ZBytes | None, name:
 class Publisher:
     """Publishes messages on one topic. Thread-safe."""
 
-    def __init__(self, session: zenoh.Session, token: Token, key: str, name: str, types: Types) -> None:
+    def __init__(self, session: Session, token: Token, key: str, name: str, types: Types) -> None:
         assert token.endpoint
         self.token = token
         self._name, self._types, self._gid = name, types, token.gid
-        self._lock, self._sequence = threading.Lock(), 0
-        self._publisher = zenoh.ext.declare_advanced_publisher(session, key, **_publishing(token.endpoint.qos))
-        self._token = session.liveliness().declare_token(token.text)
+        self._lock, self._sequence, self._time_ns = threading.Lock(), 0, session.computer.time_ns
+        self._publisher = session.declare_publisher(key, **_publishing(token.endpoint.qos))
+        self._token = session.zenoh.liveliness().declare_token(token.text)
 
     def publish(self, value: Any) -> None:
         """Publishes a message, or its fields by name; does nothing on a closed session. Raises BadMessage."""
         data = serialize(value, self._name, self._types)
         with self._lock:
             self._sequence += 1
-            attachment = Attachment(self._sequence, time.time_ns(), self._gid).data
+            attachment = Attachment(self._sequence, self._time_ns(), self._gid).data
             with contextlib.suppress(zenoh.ZError):
                 self._publisher.put(data, attachment=attachment)
 
@@ -88,7 +88,7 @@ class Subscriber:
 
     def __init__(
         self,
-        session: zenoh.Session,
+        session: Session,
         token: Token,
         key: str,
         name: str,
@@ -99,9 +99,8 @@ class Subscriber:
         self.token = token
         self.dropped: Counter[str] = Counter()  # changed by the one thread that calls back
         self._name, self._callback, self._types = name, callback, types
-        options = _subscribing(token.endpoint.qos)
-        self._subscriber = zenoh.ext.declare_advanced_subscriber(session, key, self._on_sample, **options)
-        self._token = session.liveliness().declare_token(token.text)
+        self._subscriber = session.declare_subscriber(key, self._on_sample, **_subscribing(token.endpoint.qos))
+        self._token = session.zenoh.liveliness().declare_token(token.text)
 
     def close(self) -> None:
         with contextlib.suppress(zenoh.ZError):

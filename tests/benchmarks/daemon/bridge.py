@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ from tests.benchmarks.daemon.chain.parts import Parts
 from tests.benchmarks.daemon.goal_latency import WARM, Times, send, steps_of
 from tests.benchmarks.harness import CommandLine, percentiles, processor_time, report
 from tests.endpoints import free_endpoint
-from tests.ros2.wire.conftest import Router
+from tests.network.played import Router
 from tests.waiting import eventually
 
 ROUNDS = 4  # with and without the bridge, in turn
@@ -60,8 +60,10 @@ class Round(NamedTuple):
 
 def main() -> None:
     options = CommandLine(__doc__, goals=100).parse()
-    router = Router()
-    with Parts(real_time=True) as parts, Session(router.endpoint) as ros:
+    with ExitStack() as closing:
+        router = Router(closing)
+        parts = closing.enter_context(Parts(real_time=True))
+        ros = closing.enter_context(Session(router.endpoint))
         endpoint = free_endpoint()
         parts.start("listener", endpoint, said=True)
         heard = heard_by(Node(ros, "listener", f"/{parts.name}"))
@@ -71,7 +73,6 @@ def main() -> None:
             for k in range(ROUNDS):
                 with bridge(parts, router, heard) if k % 2 else nothing():
                     rounds.append(one_round(parts, bare, options.goals, heard, bridged=bool(k % 2)))
-    router.stop()
     figures = {
         name: figures_of(parts, [it for it in rounds if it.bridged is bridged])
         for name, bridged in (("without", False), ("with", True))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from contextlib import ExitStack
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -14,17 +14,15 @@ from hyperbit.controller.ros2.arm_node import ROSOUT, Settings
 from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.session import Session
 from tests.commands.conftest import Told
-from tests.ros2.wire.conftest import Router
+from tests.network.played import Router
 from tests.waiting import PATIENCE, eventually
 
 SETTINGS = Settings("", 0, "jazzy", "world", oriented=False)
 
 
 @pytest.fixture
-def router() -> Iterator[Router]:
-    router = Router()
-    yield router
-    router.stop()
+def router(stack: ExitStack) -> Router:
+    return Router(stack)
 
 
 @pytest.mark.parametrize("distro", ["noetic", ""])

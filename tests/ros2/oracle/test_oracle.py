@@ -8,7 +8,7 @@ import re
 import shutil
 import subprocess
 import threading
-from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +20,14 @@ from scipy.spatial.transform import Rotation
 
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.ros2.robot import urdf
-from hyperbit.controller.ros2.wire import qos
 from hyperbit.controller.ros2.wire.action_server import GoalHandle, Policy
 from hyperbit.controller.ros2.wire.cdr import deserialize, message, serialize
 from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.session import Session
-from hyperbit.controller.ros2.wire.topics import Received
 from hyperbit.controller.ros2.wire.types import Types
+from tests.network.played import Router
+from tests.ros2.client import Client
 from tests.ros2.oracle.script import ABORTED, CANCELED, REJECTED_ORDER, SUCCEEDED, UNCANCELABLE_ORDER, script
-from tests.ros2.wire.conftest import Router
 from tests.waiting import PATIENCE, eventually
 
 ENVIRONMENTS = Path(__file__).parents[3] / ".venv"
@@ -136,8 +135,6 @@ class Side:
 
     def __init__(self, session: Session, other: Session, distribution: str) -> None:
         self.handles: dict[int, GoalHandle] = {}
-        self.states: list[list[list[int]]] = []
-        self.heard: queue.Queue[Received] = queue.Queue()
         server, client = Node(session, "server", distro=distribution), Node(other, "client", distro=distribution)
         description = ENVIRONMENTS / f"ros2-{distribution}" / "share" / f"{FIBONACCI}.json"
         hashes = {it["type_name"]: it["hash_string"] for it in json.loads(description.read_text())["type_hashes"]}
@@ -145,12 +142,7 @@ class Side:
             node.types.register(FIBONACCI, DEFINITION, hashes)
         policy = Policy(may_cancel=lambda it: it.goal.order != UNCANCELABLE_ORDER)
         server.action_server("fibonacci", FIBONACCI, self.on_goal, policy)
-        base = "/fibonacci/_action"
-        self.goal = client.client(f"{base}/send_goal", f"{FIBONACCI}_SendGoal")
-        self.result = client.client(f"{base}/get_result", f"{FIBONACCI}_GetResult")
-        self.cancels = client.client(f"{base}/cancel_goal", "action_msgs/srv/CancelGoal")
-        client.subscriber(f"{base}/status", "action_msgs/msg/GoalStatusArray", self.on_status, qos.LATCHED)
-        client.subscriber(f"{base}/feedback", f"{FIBONACCI}_FeedbackMessage", self.heard.put)
+        self.client = Client(client, "/fibonacci", FIBONACCI)
         eventually(lambda: len(other.tokens()) == 12)
 
     def on_goal(self, goal: GoalHandle) -> None:
@@ -161,29 +153,22 @@ class Side:
         goal.execute()
         self.handles[goal.uuid[0]] = goal
 
-    def on_status(self, received: Received) -> None:
-        goals = received.message.status_list
-        self.states.append([[int(it.goal_info.goal_id.uuid[0]), it.status] for it in goals])
-
     def send_goal(self, uuid: list[int], order: int) -> bool:
-        request = {"goal_id": {"uuid": uuid}, "goal": {"order": order}}
-        return bool(self.goal.call(request, PATIENCE).message.accepted)
+        return bool(self.client.send_goal({"order": order}, bytes(uuid))[1].accepted)
 
     def ask_result(self, uuid: list[int]) -> Any:
-        got: queue.Queue[Received] = queue.Queue()
-        call = lambda: got.put(self.result.call({"goal_id": {"uuid": uuid}}, PATIENCE))  # noqa: E731
-        threading.Thread(target=call).start()
+        got: queue.Queue[Any] = queue.Queue()
+        threading.Thread(target=lambda: got.put(self.client.get_result(bytes(uuid)))).start()
 
         def result() -> list[Any]:
-            response = got.get(timeout=PATIENCE).message
+            response = got.get(timeout=PATIENCE)
             return [response.status, response.result.sequence.tolist()]
 
         return result
 
     def cancel(self, uuid: list[int], sec: int) -> list[Any]:
-        request = {"goal_info": {"goal_id": {"uuid": uuid}, "stamp": {"sec": sec}}}
-        response = self.cancels.call(request, PATIENCE).message
-        return [response.return_code, [int(it.goal_id.uuid[0]) for it in response.goals_canceling]]
+        code, goals = self.client.cancel(bytes(uuid), sec)
+        return [code, [it[0] for it in goals]]
 
     def end(self, uuid: list[int], how: int, sequence: list[int]) -> None:
         handle = eventually(lambda: self.handles.get(uuid[0]))
@@ -194,19 +179,19 @@ class Side:
         handle = eventually(lambda: self.handles.get(uuid[0]))
         assert handle
         handle.feedback({"sequence": sequence})
-        heard = self.heard.get(timeout=PATIENCE).message
+        heard = eventually(lambda: self.client.feedback)[0]
         return [int(heard.goal_id.uuid[0]), heard.feedback.sequence.tolist()]
 
     def until(self, uuid: list[int], status: int) -> list[list[int]]:
-        return eventually(lambda: next((it for it in self.states if [uuid[0], status] in it), []))
+        known = lambda: [[[it[0], int(at)] for it, at in states] for states in self.client.states]  # noqa: E731
+        return eventually(lambda: next((it for it in known() if [uuid[0], status] in it), []))
 
 
 @pytest.fixture
-def side(distribution: str) -> Iterator[Side]:
-    router = Router()
-    with Session(router.endpoint, PATIENCE) as session, Session(router.endpoint, PATIENCE) as other:
-        yield Side(session, other, distribution)
-    router.stop()
+def side(distribution: str, stack: ExitStack) -> Side:
+    router = Router(stack)
+    session, other = (stack.enter_context(Session(router.endpoint, PATIENCE)) for _ in range(2))
+    return Side(session, other, distribution)
 
 
 def test_actions_behave_as_those_of_rclpy(distribution: str, side: Side) -> None:

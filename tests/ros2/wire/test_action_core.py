@@ -1,6 +1,7 @@
 """The core of an action server: rules of rcl_action, and invariants over random sequences of events."""
 
 from itertools import count
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -27,144 +28,179 @@ LEGAL = {
 ENDS = (Status.SUCCEEDED, Status.CANCELED, Status.ABORTED)
 
 
-def accepted(core: ActionCore, uuid: bytes, request: int = 0, stamp: int = 1, now: float = 0.0) -> list[Action]:
-    assert core.step(events.GoalRequested(request, uuid, uuid), now) == [events.AskGoal(uuid)]
-    return core.step(events.GoalDecided(uuid, accepted=True, stamp=stamp), now)
+Step = tuple[events.Event, list[Action] | None]  # None: its actions are those of an earlier case
 
 
-def ended(core: ActionCore, uuid: bytes, status: Status = Status.SUCCEEDED, now: float = 0.0) -> list[Action]:
-    core.step(events.StatusChanged(uuid, Status.EXECUTING), now)
-    return core.step(events.StatusChanged(uuid, status, "result"), now)
+def asked(request: int, uuid: bytes) -> Step:
+    return events.GoalRequested(request, uuid, uuid), [events.AskGoal(uuid)]
 
 
-def test_an_accepted_goal_is_answered_and_published() -> None:
-    core = ActionCore()
-    assert accepted(core, A, request=7, stamp=5) == [
-        events.AnswerGoal(7, accepted=True, stamp=5),
-        events.PublishStatus((GoalInfo(A, 5, Status.ACCEPTED),)),
+def accepted(uuid: bytes, request: int = 0, stamp: int = 1) -> list[Step]:
+    return [asked(request, uuid), (events.GoalDecided(uuid, accepted=True, stamp=stamp), None)]
+
+
+def ended(uuid: bytes, status: Status = Status.SUCCEEDED) -> list[Step]:
+    return [
+        (events.StatusChanged(uuid, Status.EXECUTING), None),
+        (events.StatusChanged(uuid, status, "result"), None),
     ]
 
 
-def test_a_rejected_goal_is_answered_and_forgotten() -> None:
+def cancel(uuid: bytes, stamp: int, *answer: Action) -> Step:
+    return events.CancelRequested(9, uuid, stamp), list(answer)
+
+
+def refused(request: int, uuid: bytes) -> Step:
+    return events.GoalRequested(request, uuid, uuid), [events.AnswerGoal(request, accepted=False)]
+
+
+ALL_THREE = [*accepted(A, 0, 10), *accepted(B, 1, 20), *accepted(C, 2, 30)]
+CANCELING_B = GoalInfo(B, 1, Status.CANCELING)
+CASES: dict[str, list[Step]] = {
+    "an accepted goal is answered and published": [
+        asked(7, A),
+        (
+            events.GoalDecided(A, accepted=True, stamp=5),
+            [events.AnswerGoal(7, accepted=True, stamp=5), events.PublishStatus((GoalInfo(A, 5, Status.ACCEPTED),))],
+        ),
+    ],
+    "a rejected goal is answered and forgotten": [
+        asked(7, A),
+        (events.GoalDecided(A, accepted=False, stamp=0), [events.AnswerGoal(7, accepted=False)]),
+        asked(8, A),
+    ],
+    "a known id is rejected while it is asked for": [asked(0, A), refused(1, A)],
+    "a known id is rejected while it runs": [*accepted(A), refused(1, A)],
+    "a known id is rejected after its end": [*accepted(A), *ended(A), refused(1, A)],
+    "a result is answered before and after the end": [
+        *accepted(A),
+        (events.ResultRequested(1, A), []),
+        (events.StatusChanged(A, Status.EXECUTING), None),
+        (
+            events.StatusChanged(A, Status.ABORTED, "result"),
+            [
+                events.AnswerResult(1, Status.ABORTED, "result"),
+                events.PublishStatus((GoalInfo(A, 1, Status.ABORTED),)),
+            ],
+        ),
+        (events.ResultRequested(2, A), [events.AnswerResult(2, Status.ABORTED, "result")]),
+    ],
+    "the result of a goal that nobody has sent is unknown": [
+        (events.ResultRequested(1, A), [events.AnswerResult(1, Status.UNKNOWN, None)])
+    ],
+    "the result of a goal that is not decided is unknown": [
+        asked(0, A),
+        (events.ResultRequested(1, A), [events.AnswerResult(1, Status.UNKNOWN, None)]),
+    ],
+    "a cancel names one goal": [*ALL_THREE, cancel(B, 0, events.AskCancel(9, (B,)))],
+    "a cancel names all goals": [*ALL_THREE, cancel(NO_UUID, 0, events.AskCancel(9, (A, B, C)))],
+    "a cancel names all goals until a time": [*ALL_THREE, cancel(NO_UUID, 20, events.AskCancel(9, (A, B)))],
+    "a cancel names all goals until a time, and one": [*ALL_THREE, cancel(C, 10, events.AskCancel(9, (A, C)))],
+    "a cancel of an unknown goal": [cancel(B, 0, events.AnswerCancel(9, CancelCode.UNKNOWN_GOAL))],
+    "a cancel of all of no goals": [cancel(NO_UUID, 0, events.AnswerCancel(9, CancelCode.NONE))],
+    "a cancel of an ended goal": [*accepted(A), *ended(A), cancel(A, 0, events.AnswerCancel(9, CancelCode.TERMINATED))],
+    "a cancel of no goals until a time": [
+        *accepted(A),
+        *ended(A),
+        cancel(B, 9, events.AnswerCancel(9, CancelCode.NONE)),
+    ],
+    "a goal that is canceling cannot be canceled again": [
+        *accepted(A),
+        (events.CancelDecided(8, (A,)), None),
+        cancel(A, 0, events.AnswerCancel(9, CancelCode.TERMINATED)),
+    ],
+    "goals that may be canceled are canceling": [
+        *accepted(A),
+        *accepted(B),
+        (
+            events.CancelDecided(9, (B,)),
+            [
+                events.AnswerCancel(9, CancelCode.NONE, (CANCELING_B,)),
+                events.PublishStatus((GoalInfo(A, 1, Status.ACCEPTED), CANCELING_B)),
+                events.TellCanceling(B),
+            ],
+        ),
+    ],
+    "a cancel may come between acceptance and execution": [
+        *accepted(A),
+        (events.CancelDecided(9, (A,)), None),
+        (events.StatusChanged(A, Status.EXECUTING), []),
+    ],
+    "a cancel is rejected if no goal may be canceled": [
+        *accepted(A),
+        (events.CancelDecided(9, ()), [events.AnswerCancel(9, CancelCode.REJECTED)]),
+    ],
+    "a goal that ends before the decision on its cancel is terminated": [
+        *accepted(A),
+        *ended(A),
+        (events.CancelDecided(9, (A,)), [events.AnswerCancel(9, CancelCode.TERMINATED)]),
+    ],
+    "feedback is published of active goals only": [
+        *accepted(A),
+        (events.FeedbackGiven(A, "half"), [events.PublishFeedback(A, "half")]),
+        *ended(A),
+        (events.FeedbackGiven(A, "all"), []),
+    ],
+    "an end of the server ends all goals": [
+        *accepted(A),
+        asked(2, B),
+        (events.ResultRequested(3, A), []),
+        (
+            events.ServerClosed("closed"),
+            [
+                events.AnswerResult(3, Status.ABORTED, "closed"),
+                events.AnswerGoal(2, accepted=False),
+                events.PublishStatus((GoalInfo(A, 1, Status.ABORTED),)),
+            ],
+        ),
+        refused(4, C),
+    ],
+}
+
+
+@pytest.mark.parametrize("steps", CASES.values(), ids=CASES)
+def test_each_event_has_its_actions(steps: list[Step]) -> None:
     core = ActionCore()
-    core.step(events.GoalRequested(7, A, A), 0.0)
-    assert core.step(events.GoalDecided(A, accepted=False, stamp=0), 0.0) == [events.AnswerGoal(7, accepted=False)]
-    assert not core.goals
+    for event, actions in steps:
+        found = core.step(event, 0.0)
+        assert actions is None or sorted(map(repr, found)) == sorted(map(repr, actions))
 
 
-@pytest.mark.parametrize("state", ["asked", "accepted", "ended"])
-def test_a_known_id_is_rejected(state: str) -> None:
-    core = ActionCore()
-    core.step(events.GoalRequested(0, A, A), 0.0)
-    if state != "asked":
-        core.step(events.GoalDecided(A, accepted=True, stamp=1), 0.0)
-    if state == "ended":
-        ended(core, A)
-    assert core.step(events.GoalRequested(1, A, A), 0.0) == [events.AnswerGoal(1, accepted=False)]
-
-
-def test_a_result_is_answered_before_and_after_the_end() -> None:
-    core = ActionCore()
-    accepted(core, A)
-    assert core.step(events.ResultRequested(1, A), 0.0) == []
-    assert ended(core, A, Status.ABORTED) == [
-        events.AnswerResult(1, Status.ABORTED, "result"),
-        events.PublishStatus((GoalInfo(A, 1, Status.ABORTED),)),
-    ]
-    assert core.step(events.ResultRequested(2, A), 0.0) == [events.AnswerResult(2, Status.ABORTED, "result")]
-    assert core.goals[A].waiting == []
+def core_after(*steps: Step, now: float = 0.0, **settings: Any) -> ActionCore:
+    core = ActionCore(**settings)
+    for event, _ in steps:
+        core.step(event, now)
+    return core
 
 
 def test_a_result_is_kept_for_its_time() -> None:
-    core = ActionCore(result_timeout=10.0)
-    accepted(core, A)
-    ended(core, A, now=5.0)
+    core = core_after(*accepted(A), *ended(A), now=5.0, result_timeout=10.0)
     known, unknown = (events.AnswerResult(1, Status.SUCCEEDED, "result"), events.AnswerResult(1, Status.UNKNOWN, None))
     assert core.step(events.ResultRequested(1, A), 15.0) == [known]
     assert core.step(events.ResultRequested(1, A), 15.1) == [unknown]
     assert core.step(events.GoalRequested(2, A, A), 15.2) == [events.AskGoal(A)]
 
 
-@pytest.mark.parametrize("asked", [True, False])
-def test_the_result_of_a_goal_that_was_not_accepted_is_unknown(asked: bool) -> None:
-    core = ActionCore()
-    if asked:
-        core.step(events.GoalRequested(0, A, A), 0.0)
-    assert core.step(events.ResultRequested(1, A), 0.0) == [events.AnswerResult(1, Status.UNKNOWN, None)]
-
-
 def test_further_goals_are_rejected_unless_one_has_ended() -> None:
-    core = ActionCore(most_goals=2)
-    accepted(core, A)
-    accepted(core, B)
+    core = core_after(*accepted(A), *accepted(B), most_goals=2)
     assert core.step(events.GoalRequested(2, C, C), 0.0) == [events.AnswerGoal(2, accepted=False)]
-    ended(core, B)
+    for event, _ in ended(B):
+        core.step(event, 0.0)
     assert core.step(events.GoalRequested(3, C, C), 0.0) == [events.AskGoal(C)]
     assert list(core.goals) == [A, C]
-
-
-@pytest.mark.parametrize(
-    ("uuid", "stamp", "goals"),
-    [
-        (B, 0, (B,)),  # one
-        (NO_UUID, 0, (A, B, C)),  # all
-        (NO_UUID, 20, (A, B)),  # all until then
-        (C, 10, (A, C)),  # all until then, and one
-    ],
-)
-def test_a_cancel_request_chooses_goals(uuid: bytes, stamp: int, goals: tuple[bytes, ...]) -> None:
-    core = ActionCore()
-    for number, it in enumerate((A, B, C)):
-        accepted(core, it, request=number, stamp=10 * (number + 1))
-    assert core.step(events.CancelRequested(9, uuid, stamp), 0.0) == [events.AskCancel(9, goals)]
-
-
-@pytest.mark.parametrize(
-    ("uuid", "stamp", "code"),
-    [
-        (B, 0, CancelCode.UNKNOWN_GOAL),
-        (NO_UUID, 0, CancelCode.NONE),
-        (A, 0, CancelCode.TERMINATED),
-        (B, 9, CancelCode.NONE),
-    ],
-)
-def test_a_cancel_request_without_goals_is_answered(uuid: bytes, stamp: int, code: CancelCode) -> None:
-    core = ActionCore()
-    accepted(core, A)
-    ended(core, A)
-    assert core.step(events.CancelRequested(9, uuid, stamp), 0.0) == [events.AnswerCancel(9, code)]
-
-
-def test_a_goal_that_is_canceling_cannot_be_canceled_again() -> None:
-    core = ActionCore()
-    accepted(core, A)
-    core.step(events.CancelDecided(8, (A,)), 0.0)
-    assert core.step(events.CancelRequested(9, A, 0), 0.0) == [events.AnswerCancel(9, CancelCode.TERMINATED)]
-
-
-def test_goals_that_may_be_canceled_are_canceling() -> None:
-    core = ActionCore()
-    accepted(core, A)
-    accepted(core, B)
-    infos = (GoalInfo(B, 1, Status.CANCELING),)
-    assert core.step(events.CancelDecided(9, (B,)), 0.0) == [
-        events.AnswerCancel(9, CancelCode.NONE, infos),
-        events.PublishStatus((GoalInfo(A, 1, Status.ACCEPTED), *infos)),
-        events.TellCanceling(B),
-    ]
 
 
 @pytest.mark.parametrize("new", [Status.EXECUTING, *ENDS])
 @pytest.mark.parametrize("old", [Status.ACCEPTED, Status.EXECUTING, Status.CANCELING, *ENDS])
 def test_the_program_makes_legal_transitions_only(old: Status, new: Status) -> None:
-    core = ActionCore()
-    accepted(core, A)
+    steps = accepted(A)
     if old in (Status.CANCELING, Status.CANCELED):
-        core.step(events.CancelDecided(9, (A,)), 0.0)
+        steps.append((events.CancelDecided(9, (A,)), None))
     if old in ENDS:
-        ended(core, A, old)
+        steps += ended(A, old)
     elif old is Status.EXECUTING:
-        core.step(events.StatusChanged(A, Status.EXECUTING), 0.0)
+        steps.append((events.StatusChanged(A, Status.EXECUTING), None))
+    core = core_after(*steps)
     assert core.status(A) is old
     if (old, new) in LEGAL:
         core.step(events.StatusChanged(A, new), 0.0)
@@ -172,46 +208,6 @@ def test_the_program_makes_legal_transitions_only(old: Status, new: Status) -> N
     elif (old, new) != (Status.CANCELING, Status.EXECUTING):  # which changes nothing
         with pytest.raises(IllegalTransition, match=f"is {old.name}, it cannot become {new.name}"):
             core.step(events.StatusChanged(A, new), 0.0)
-
-
-def test_a_cancel_may_come_between_acceptance_and_execution() -> None:
-    core = ActionCore()
-    accepted(core, A)
-    core.step(events.CancelDecided(9, (A,)), 0.0)
-    assert core.step(events.StatusChanged(A, Status.EXECUTING), 0.0) == []
-    assert core.status(A) is Status.CANCELING
-
-
-def test_a_cancel_request_is_rejected_if_no_goal_may_be_canceled() -> None:
-    core = ActionCore()
-    accepted(core, A)
-    assert core.step(events.CancelDecided(9, ()), 0.0) == [events.AnswerCancel(9, CancelCode.REJECTED)]
-
-
-def test_a_goal_that_ends_before_the_decision_on_its_cancel_is_terminated() -> None:
-    core = ActionCore()
-    accepted(core, A)
-    ended(core, A)
-    assert core.step(events.CancelDecided(9, (A,)), 0.0) == [events.AnswerCancel(9, CancelCode.TERMINATED)]
-
-
-def test_feedback_is_published_of_active_goals_only() -> None:
-    core = ActionCore()
-    accepted(core, A)
-    assert core.step(events.FeedbackGiven(A, "half"), 0.0) == [events.PublishFeedback(A, "half")]
-    ended(core, A)
-    assert core.step(events.FeedbackGiven(A, "all"), 0.0) == []
-
-
-def test_an_end_of_the_server_ends_all_goals() -> None:
-    core = ActionCore()
-    accepted(core, A)
-    core.step(events.GoalRequested(2, B, B), 0.0)
-    core.step(events.ResultRequested(3, A), 0.0)
-    actions = core.step(events.ServerClosed("closed"), 0.0)
-    assert events.AnswerResult(3, Status.ABORTED, "closed") in actions
-    assert events.AnswerGoal(2, accepted=False) in actions
-    assert core.step(events.GoalRequested(4, C, C), 0.0) == [events.AnswerGoal(4, accepted=False)]
 
 
 class RandomEvents(RuleBasedStateMachine):

@@ -1,4 +1,4 @@
-"""An action server on the wire, driven by a client that shares no code with it."""
+"""An action server on the wire."""
 
 import threading
 from collections.abc import Callable
@@ -7,134 +7,129 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.ros2.wire.action_core import IllegalTransition
-from hyperbit.controller.ros2.wire.action_events import Status
-from hyperbit.controller.ros2.wire.action_server import ActionServer, GoalHandle, Policy
+from hyperbit.controller.ros2.wire.action_events import CancelCode, Status
+from hyperbit.controller.ros2.wire.action_server import GoalHandle, Policy
 from hyperbit.controller.ros2.wire.cdr import BadMessage
 from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.session import Session
-from tests.ros2.client import ABORTED, CANCELED, CANCELING, EXECUTING, SUCCEEDED, Client, Result
+from tests.network.played import Router
+from tests.ros2.client import FOLLOW, Client, Result, trajectory
 from tests.waiting import PATIENCE, eventually
 
-FOLLOW = "control_msgs/action/FollowJointTrajectory"
 Connect = Callable[[], Session]
+SUCCEEDED, CANCELED, ABORTED = Status.SUCCEEDED, Status.CANCELED, Status.ABORTED
 
 
 class Arm:
-    """A program with an action server; goals wait in `goals` until the test ends them."""
+    """A program with an action server, and its client. Goals wait until the test ends them."""
 
-    def __init__(self, session: Session, distro: str = "jazzy", **policy: Any) -> None:
-        self.node = Node(session, "arm", distro=distro)
+    def __init__(self, connect: Connect, distro: str = "jazzy", **policy: Any) -> None:
+        self.node = Node(connect(), "arm", distro=distro)
         self.goals: list[GoalHandle] = []
         self.canceling: list[GoalHandle] = []
         settings = Policy(on_cancel=self.canceling.append, **policy)
-        self.server: ActionServer = self.node.action_server("follow", FOLLOW, self.on_goal, settings)
+        self.server = self.node.action_server("follow", FOLLOW, self.on_goal, settings)
+        self.client = Client(Node(connect(), "client", distro=distro), "follow")
+        eventually(lambda: len(self.node.session.tokens()) == 12)
 
     def on_goal(self, goal: GoalHandle) -> None:
-        joint = goal.goal.trajectory.joint_names[0]
-        if joint == "raises":
-            raise RuntimeError("of the program")
-        if joint == "unknown":
-            goal.reject()
-            return
-        goal.accept()
-        goal.execute()
-        self.goals.append(goal)
+        match goal.goal.trajectory.joint_names[0]:
+            case "raises":
+                raise RuntimeError("of the program")
+            case "unknown":
+                goal.reject()
+            case "later":
+                self.goals.append(goal)
+            case _:
+                goal.accept()
+                goal.execute()
+                self.goals.append(goal)
 
-    def goal(self, number: int = 0) -> GoalHandle:
-        """The goal of this number, once it is executed, which the client need not have waited for."""
-        return eventually(lambda: self.goals[number : number + 1])[0]
+    def send(self, joint: str = "j1", identity: bytes = b"") -> tuple[bytes, Any]:
+        return self.client.send_goal(trajectory([joint], [[0.5], [1.0]]), identity)
+
+    def begun(self) -> bytes:
+        """Sends a goal; returns its id when it is executed, which a client need not wait for."""
+        goal, _ = self.send()
+        eventually(lambda: [it for it in self.goals if it.uuid == goal])
+        return goal
+
+    def asked(self, goal: bytes) -> Callable[[], Result | None]:
+        """Asks for a result in a thread; returns what waits for it."""
+        got: list[Result | None] = []
+        thread = threading.Thread(target=lambda: got.append(self.client.result(goal)))
+        thread.start()
+
+        def wait() -> Result | None:
+            thread.join(PATIENCE)
+            return got[0]
+
+        return wait
 
 
 @pytest.fixture
 def arm(connect: Connect) -> Arm:
-    return Arm(connect())
-
-
-@pytest.fixture
-def client(connect: Connect, arm: Arm) -> Client:
-    client = Client(connect().zenoh, "follow")
-    eventually(lambda: len(arm.node.session.tokens()) == 6)
-    return client
-
-
-def asked(client: Client, goal: bytes) -> tuple[threading.Thread, list[Result | None]]:
-    got: list[Result | None] = []
-    thread = threading.Thread(target=lambda: got.append(client.get_result(goal)))
-    thread.start()
-    return thread, got
+    return Arm(connect)
 
 
 @pytest.mark.parametrize("distro", ["jazzy", "kilted"])
 def test_a_goal_succeeds_with_feedback_and_one_result(connect: Connect, distro: str) -> None:
-    arm = Arm(connect(), distro)
-    client = Client(connect().zenoh, "follow", "jazzy" if distro == "jazzy" else "kilted")
-    goal, accepted, stamp = client.send_goal(joint="j1")
-    assert accepted
-    assert stamp > 1_600_000_000
-    assert arm.goal().uuid == goal
-    points = arm.goal().goal.trajectory.points
+    arm = Arm(connect, distro)
+    goal, response = arm.send()
+    assert response.accepted
+    assert response.stamp.sec > 1_600_000_000
+    (handle,) = eventually(lambda: arm.goals)
+    assert handle.uuid == goal
+    points = handle.goal.trajectory.points
     assert [(list(it.positions), it.time_from_start.sec) for it in points] == [([0.5], 1), ([1.0], 2)]
-    thread, got = asked(client, goal)
-    eventually(lambda: (arm.goal().feedback({"joint_names": ["j1"]}), client.feedback)[1])
-    assert client.feedback[0] == (goal, "j1")
-    assert not got
-    arm.goal().succeed({"error_code": 0, "error_string": "there"})
-    thread.join(PATIENCE)
-    assert got == [Result(SUCCEEDED, 0, "there")]
-    assert client.get_result(goal) == Result(SUCCEEDED, 0, "there")  # after the end, too
-    eventually(lambda: client.states and client.states[-1] == [(goal, SUCCEEDED)])
+    wait = arm.asked(goal)
+    eventually(lambda: (handle.feedback({"joint_names": ["j1"]}), arm.client.feedback)[1])
+    first = arm.client.feedback[0]
+    assert (bytes(first.goal_id.uuid), first.feedback.joint_names) == (goal, ["j1"])
+    handle.succeed({"error_code": 0, "error_string": "there"})
+    assert wait() == arm.client.result(goal) == Result(SUCCEEDED, 0, "there")
+    eventually(lambda: arm.client.states and arm.client.states[-1] == [(goal, SUCCEEDED)])
 
 
-def test_a_goal_is_rejected(arm: Arm, client: Client) -> None:
-    goal, accepted, stamp = client.send_goal(joint="unknown")
-    assert not accepted
-    assert stamp == 0
-    assert client.get_result(goal) == Result(0, 0, "")
+def test_a_goal_is_rejected_by_the_program_or_because_it_raises(arm: Arm) -> None:
+    for joint in ("unknown", "raises"):
+        goal, response = arm.send(joint)
+        assert (response.accepted, response.stamp.sec) == (False, 0)
+        assert arm.client.get_result(goal).status == Status.UNKNOWN
     assert not arm.goals
+    assert arm.send("j1", goal)[1].accepted, "the same goal may come again"
 
 
-def test_a_goal_is_rejected_if_the_program_raises(arm: Arm, client: Client) -> None:
-    goal, accepted, _ = client.send_goal(joint="raises")
-    assert not accepted
-    assert client.send_goal(goal)[1]  # the same goal may come again
-
-
-def test_a_goal_may_be_accepted_later(connect: Connect) -> None:
-    waiting: list[GoalHandle] = []
-    Node(connect(), "arm").action_server("follow", FOLLOW, waiting.append)
-    client = Client(connect().zenoh, "follow")
+def test_a_goal_may_be_accepted_later(arm: Arm) -> None:
     got: list[Any] = []
-    thread = threading.Thread(target=lambda: got.append(client.send_goal()))
+    thread = threading.Thread(target=lambda: got.append(arm.send("later")))
     thread.start()
-    eventually(lambda: waiting)
-    assert waiting[0].status is Status.UNKNOWN
-    waiting[0].accept()
+    (handle,) = eventually(lambda: arm.goals)
+    assert handle.status is Status.UNKNOWN
+    handle.accept()
     thread.join(PATIENCE)
-    assert got[0][1]
-    assert waiting[0].status is Status.ACCEPTED
+    assert got[0][1].accepted
+    assert handle.status is Status.ACCEPTED
 
 
-def test_a_goal_is_canceled_by_its_id(arm: Arm, client: Client) -> None:
-    goal, _, _ = client.send_goal()
-    other, _, _ = client.send_goal()
-    arm.goal(1)
-    thread, got = asked(client, goal)
-    assert client.cancel(goal) == (0, [goal])
+def test_a_goal_is_canceled_by_its_id(arm: Arm) -> None:
+    goal, other = arm.begun(), arm.begun()
+    wait = arm.asked(goal)
+    assert arm.client.cancel(goal) == (CancelCode.NONE, [goal])
     eventually(lambda: arm.canceling)
     assert [it.uuid for it in arm.canceling] == [goal]
-    eventually(lambda: client.states and client.states[-1] == [(goal, CANCELING), (other, EXECUTING)])
-    assert not got
+    expected = [(goal, Status.CANCELING), (other, Status.EXECUTING)]
+    eventually(lambda: arm.client.states and arm.client.states[-1] == expected)
     arm.canceling[0].canceled({"error_string": "stopped"})
-    thread.join(PATIENCE)
-    assert got == [Result(CANCELED, 0, "stopped")]
-    assert client.cancel(goal) == (3, [])  # it has ended
+    assert wait() == Result(CANCELED, 0, "stopped")
+    assert arm.client.cancel(goal) == (CancelCode.TERMINATED, [])
 
 
-def test_goals_are_canceled_by_their_time(arm: Arm, client: Client) -> None:
-    goal, _, stamp = client.send_goal()
-    assert client.cancel(sec=stamp - 10) == (0, [])
-    assert client.cancel(sec=-1) == (0, [])
-    assert client.cancel(sec=stamp + 10) == (0, [goal])
+def test_goals_are_canceled_by_their_time(arm: Arm) -> None:
+    goal, response = arm.send()
+    stamp = response.stamp.sec
+    for sec, canceled in ((stamp - 10, []), (-1, []), (stamp + 10, [goal])):
+        assert arm.client.cancel(sec=sec) == (CancelCode.NONE, canceled)
 
 
 @pytest.mark.parametrize("raises", [False, True])
@@ -144,16 +139,15 @@ def test_a_cancel_is_rejected(connect: Connect, raises: bool) -> None:
             raise RuntimeError("of the program")
         return False
 
-    arm, client = Arm(connect(), may_cancel=may_cancel), Client(connect().zenoh, "follow")
-    goal, _, _ = client.send_goal()
-    assert client.cancel(goal) == (1, [])
-    assert arm.goal().status is Status.EXECUTING
+    arm = Arm(connect, may_cancel=may_cancel)
+    assert arm.client.cancel(arm.begun()) == (CancelCode.REJECTED, [])
+    assert arm.goals[0].status is Status.EXECUTING
     assert not arm.canceling
 
 
-def test_the_program_cannot_make_illegal_transitions(arm: Arm, client: Client) -> None:
-    goal, _, _ = client.send_goal()
-    handle = arm.goal()
+def test_the_program_cannot_make_illegal_transitions(arm: Arm) -> None:
+    goal = arm.begun()
+    (handle,) = arm.goals
     with pytest.raises(IllegalTransition, match="EXECUTING, it cannot become CANCELED"):
         handle.canceled({})
     with pytest.raises(BadMessage, match="no field 'code'"):
@@ -164,35 +158,22 @@ def test_the_program_cannot_make_illegal_transitions(arm: Arm, client: Client) -
     with pytest.raises(IllegalTransition, match="SUCCEEDED"):
         handle.abort({})
     handle.feedback({})  # is dropped
-    assert client.get_result(goal) == Result(SUCCEEDED, 0, "")
+    assert arm.client.result(goal) == Result(SUCCEEDED, 0, "")
 
 
-def test_the_end_of_the_node_answers_what_waits(arm: Arm, client: Client) -> None:
-    goal, _, _ = client.send_goal()
-    thread, got = asked(client, goal)
-    eventually(lambda: arm.server._core.goals[goal].waiting)
+def test_the_end_of_the_node_answers_what_waits(arm: Arm) -> None:
+    goal = arm.begun()
+    wait = arm.asked(goal)
+    eventually(lambda: arm.server.open)
     arm.node.close()
-    thread.join(PATIENCE)
-    assert got == [Result(ABORTED, 0, "")]
-    assert arm.node.session.tokens() == []
+    assert wait() == Result(ABORTED, 0, "")
 
 
-def test_goals_survive_the_routers_loss(arm: Arm, client: Client, router: Any) -> None:
-    goal, _, _ = client.send_goal()
-    router.stop()
-    arm.goal().succeed({"error_string": "meanwhile"})
+def test_goals_survive_the_routers_loss(arm: Arm, router: Router) -> None:
+    goal = arm.begun()
+    router.end()
+    arm.goals[0].succeed({"error_string": "meanwhile"})
     eventually(lambda: not arm.node.session.connected())
     router.start()
-    eventually(lambda: arm.node.session.connected())
     # The first queries may find no service yet.
-    assert eventually(lambda: client.get_result(goal)) == Result(SUCCEEDED, 0, "meanwhile")
-
-
-def test_requests_of_garbage_do_no_harm(arm: Arm, client: Client) -> None:
-    for key in ("send_goal", "get_result", "cancel_goal"):
-        token = next(it for it in arm.node.session.tokens() if it.endpoint and it.endpoint.name.endswith(key))
-        assert token.endpoint
-        for payload in (b"", b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 40):
-            assert client.call(f"{key}/{token.endpoint.type}/{token.endpoint.hash}", payload) is not None
-    assert arm.node.dropped()["/follow/_action/send_goal"] == {"content": 3}
-    assert client.send_goal()[1]
+    assert eventually(lambda: arm.client.result(goal)) == Result(SUCCEEDED, 0, "meanwhile")

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from hyperbit.controller.ros2.wire import node
+from hyperbit.controller.ros2.wire.action_events import Status
 from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.session import Session
 from hyperbit.controller.ros2.wire.topics import Received
-from tests.ros2.client import SUCCEEDED, Client, Result
+from tests.ros2.client import Client, Result, trajectory
 from tests.waiting import PATIENCE, eventually
 
 PAGE = Path(node.__file__).with_name("README.md")
@@ -18,8 +19,7 @@ PAGE = Path(node.__file__).with_name("README.md")
 def test_the_example_publishes_serves_and_executes(router: Any, connect: Callable[[], Session], capsys: Any) -> None:
     example = re.search(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
     assert example
-    peer_session = connect()
-    peer, got = Node(peer_session, "peer"), []
+    peer, got = Node(connect(), "peer"), []
     peer.subscriber("/arm/joint_states", "sensor_msgs/msg/JointState", got.append)
     poses = peer.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
     variables: dict[str, Any] = {}
@@ -28,10 +28,10 @@ def test_the_example_publishes_serves_and_executes(router: Any, connect: Callabl
         received: list[Received] = eventually(lambda: (variables["states"].publish({"position": [0.5]}), got)[1])
         assert list(received[0].message.position) == [0.5]
         assert peer.client("/arm/halt", "std_srvs/srv/Trigger").call({}, PATIENCE).message.success
-        client = Client(peer_session.zenoh, "arm/follow")
-        goal, accepted, _ = client.send_goal()
-        assert accepted
-        assert client.get_result(goal) == Result(SUCCEEDED, 0, "there")
+        client = Client(peer, "/arm/follow")
+        goal, response = client.send_goal(trajectory(["joint1"], [[0.5], [1.0]]))
+        assert response.accepted
+        assert client.result(goal) == Result(Status.SUCCEEDED, 0, "there")
         printed = eventually(lambda: (poses.publish({"pose": {"position": {"x": 2.5}}}), capsys.readouterr().out)[1])
         assert "x=2.5" in printed
     finally:

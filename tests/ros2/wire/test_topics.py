@@ -239,7 +239,7 @@ def test_all_is_there_again_after_the_routers_loss(connect: Connect, router: Any
     node.subscriber("orders", STRING, heard.append)
     node.service("trigger", TRIGGER, lambda request: request.reply({"message": "here"}))
     expected = set(session.tokens())
-    router.stop()
+    router.end()
     eventually(lambda: not session.connected() and not other.connected())
     router.start()
     eventually(lambda: session.connected() and other.connected())

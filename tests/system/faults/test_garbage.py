@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.arm.arm import Arm
-from tests.fuzz import requests
+from tests import told
+from tests.fuzz.mutations import mutated
 from tests.system.stack.motions import Motions
 from tests.system.stack.observer import Observer
 from tests.system.stack.places import MIDDLE, RIGHT
@@ -19,23 +20,23 @@ pytestmark = pytest.mark.buses("virtual")
 
 EACH = 150
 RIGHT_ONES: dict[str, list[Any]] = {
-    "goal": [requests.LINE, requests.CONFIGURATIONS],
-    "plan": [requests.LINE],
+    "goal": [told.LINE, told.CONFIGURATIONS],
+    "plan": [told.LINE],
     "jog": [{"actuators": {"99.left": "extended"}}],
     "degrade": [{"actuator": "99.left", "state": 0}],
-    "obstacles": [*({"regions": [*requests.OBSTACLES["regions"], region]} for region in ({}, {"disc": {}}))],
-    "setpoint": [{**requests.SETPOINT, "stamp": 1.0}],
+    "obstacles": [*({"regions": [*told.OBSTACLES["regions"], region]} for region in ({}, {"disc": {}}))],
+    "setpoint": [{**told.SETPOINT, "stamp": 1.0}],
 }
 
 
 def spoiled(key: str, chance: random.Random) -> bytes:
     right = RIGHT_ONES[key]
-    data = requests.spoiler(*right)(requests.written(chance.choice(right)), chance)
+    data = mutated(json.dumps(chance.choice(right)).encode(), chance)
     try:
         value = json.loads(data)
     except (ValueError, RecursionError):
         return data
-    return requests.written({**value, "velocity": 1}) if isinstance(value, dict) else data
+    return json.dumps({**value, "velocity": 1}).encode() if isinstance(value, dict) else data
 
 
 @pytest.mark.parametrize("key", [key for key in RIGHT_ONES if key != "setpoint"])

@@ -1,9 +1,9 @@
 """A process that forks commands of hyperbit, so that a test can start many: `python -m tests.system.stack.nursery`.
 
-The argument is "executor" or "planner"; what that command needs is imported once. The arms' files that follow are
-prepared once, too. Each line on standard input starts a command: its arguments, its log file and its environment as a
-list in JSON; the id of its process is printed. The interface "virtual" of arms' files is the emulated one here. If the
-environment has CLOCK, the system's clock is ahead by the seconds in that file.
+The argument is "executor", "planner", or "hyperbit" for all commands; what these need is imported once. The arms' files
+that follow are prepared once, too. Each line on standard input starts a command: its arguments, its log file and its
+environment as a list in JSON; the id of its process is printed. The interface "virtual" of arms' files is the emulated
+one here. If the environment has CLOCK, the system's clock is ahead by the seconds in that file.
 """
 
 import ctypes
@@ -29,6 +29,14 @@ NEEDED = {
         "filterpy.kalman",
         "tests.system.stack.patience",
     ),
+    "hyperbit": (
+        "hyperbit.controller.cli",
+        "hyperbit.controller.executor.__main__",
+        "hyperbit.controller.commands.operate.run",
+        "hyperbit.controller.gateway.daemon",
+        "hyperbit.controller.ros2.bridge",
+        "filterpy.kalman",
+    ),
 }
 
 
@@ -49,12 +57,20 @@ def run(arguments: list[str]) -> int:
     return 0
 
 
+def hyperbit(arguments: list[str]) -> int:
+    from hyperbit.controller.cli import main
+
+    sys.argv = ["hyperbit", *arguments]
+    main()
+    return 0
+
+
 def wall() -> float:
     ahead = os.environ.get("CLOCK")
     return true_time() + (float(Path(ahead).read_text()) if ahead else 0.0)
 
 
-COMMANDS = {"executor": execute, "planner": run}
+COMMANDS = {"executor": execute, "planner": run, "hyperbit": hyperbit}
 
 
 def prepare(file: Path) -> None:
@@ -84,12 +100,14 @@ def become(kind: str, arguments: list[str], log: str, environment: dict[str, str
         sys.excepthook(*sys.exc_info())
     finally:
         sys.stderr.flush()
+        Path(f"{log}.code").write_text(str(code))
         os._exit(code)
 
 
 def main(kind: str, *files: str) -> None:
     time.time = wall  # before the imports, which make defaults of it
-    can.interfaces.BACKENDS["virtual"] = ("tests.emulated", "EmulatedBus")
+    if kind != "hyperbit":  # whose executors simulate the boards themselves
+        can.interfaces.BACKENDS["virtual"] = ("tests.emulated", "EmulatedBus")
     for name in NEEDED[kind]:
         importlib.import_module(name)
     for file in files:

@@ -1,5 +1,7 @@
 """Executors and planners as processes that tests start, stop and kill."""
 
+import atexit
+import functools
 import json
 import os
 import signal
@@ -45,9 +47,15 @@ class Process:
     def kill(self) -> None:
         self.end(signal.SIGKILL)
 
+    @property
+    def code(self) -> int:
+        """The exit code, once the process has ended by itself."""
+        self.gone()
+        return int(Path(f"{self.log}.code").read_text())
+
 
 class Nursery:
-    """Forks commands of one kind, "executor" or "planner", in a process that has imported their modules."""
+    """Forks commands of a kind, see nursery.py, in a process that has imported their modules."""
 
     module = "tests.system.stack.nursery"
 
@@ -76,6 +84,14 @@ class Nursery:
     def _read(self) -> str:
         assert self._process.stdout
         return self._process.stdout.readline()
+
+
+@functools.cache
+def commands() -> Nursery:
+    """Returns the process that forks commands of hyperbit for all tests of this one."""
+    nursery = Nursery("hyperbit", {})
+    atexit.register(nursery.close)
+    return nursery
 
 
 def tail(log: Path, lines: int = 30) -> str:

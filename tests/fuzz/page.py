@@ -11,6 +11,7 @@ from unittest import mock
 import msgspec
 import zenoh
 
+from hyperbit.controller.network import client
 from hyperbit.controller.panel.access.access import Access
 from hyperbit.controller.panel.access.people import Person
 from hyperbit.controller.panel.app import PanelServer
@@ -19,7 +20,7 @@ from hyperbit.controller.panel.arms.arms import Arms
 from hyperbit.controller.panel.arms.metrics import exposition
 from hyperbit.controller.panel.arms.pages import Page
 from hyperbit.controller.panel.requests import BadRequest, decode_request
-from tests.fuzz.still import Sample, StillSession, Take, at_once
+from tests.fuzz.still import Sample, StillSession, Take
 from tests.panel.conftest import PEOPLE
 
 
@@ -42,7 +43,7 @@ def page() -> Take:
         if key == "arm":
             session.answer, view._again = data, True
             view._wanted = {"drawing", "running", "density"}
-            with mock.patch.object(arm_view, "ASK_AGAIN", 0.0), at_once():
+            with mock.patch.object(arm_view, "ASK_AGAIN", 0.0), mock.patch.object(client, "PAUSE", 0.0):
                 await view._answer()
         else:
             session.subscribers[f"hyperbit/*/{key}"](Sample(f"hyperbit/planar16/{key}", zenoh.ZBytes(data)))

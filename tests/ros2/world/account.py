@@ -1,0 +1,201 @@
+"""What ROS clients have asked of the bridge, and what became of it."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+from hyperbit.controller.ros2.wire.action_events import Status
+from tests.ros2.world.motion import Positions
+
+ACTIVE = (Status.ACCEPTED, Status.EXECUTING, Status.CANCELING)
+ENDS = (Status.SUCCEEDED, Status.CANCELED, Status.ABORTED)
+# Steps of a goal's status. The end of the server may take both steps of an accepted goal at once.
+LEGAL = {
+    (Status.UNKNOWN, Status.ACCEPTED),
+    *((Status.ACCEPTED, new) for new in (Status.EXECUTING, Status.CANCELING, Status.ABORTED)),
+    *((Status.EXECUTING, new) for new in (Status.CANCELING, Status.SUCCEEDED, Status.ABORTED)),
+    *((Status.CANCELING, new) for new in ENDS),
+}
+
+
+SENT_WITHIN = 3.0  # [s] until a stop or cancel is sent
+BARRED = {"goal": ("stop", "cancel"), "setpoint": ("stop", "cancel"), "reset": ("stop",), "plan": ()}
+
+
+class Wrong(BaseException):
+    """The bridge has broken a rule. No `except Exception` of the bridge catches it."""
+
+
+class Result(NamedTuple):
+    status: int
+    code: int
+    text: str
+
+
+class Told(NamedTuple):
+    """The end of a goal, as the daemon tells it. `sure`: the bridge can read it, and no kill came between."""
+
+    status: str
+    code: int
+    text: str
+    sure: bool
+
+
+@dataclass(eq=False)
+class Ask:
+    """A message of a ROS client.
+
+    Attributes:
+        key: of the daemon, to which it may lead.
+        points: of a request for motion that is valid; None: it may not move the arm.
+        uuid: of an action's goal.
+        sent: whether it was sent to the daemon.
+        answer: whether the daemon accepted it; None: not known.
+    """
+
+    number: int
+    name: str
+    key: str
+    message: Any
+    points: Positions | None
+    uuid: bytes
+    service: bool
+    sent: bool = False
+    answer: bool | None = None
+    replied: bool = False
+
+
+@dataclass
+class Ending:
+    """The service stop or cancel: numbers of its last request, of the last one sent, and of the last one accepted."""
+
+    asked: int = 0
+    sent: int = 0
+    accepted: int = 0
+    since: float = math.inf  # when the first one came that is not sent [s]
+
+
+@dataclass
+class Debt:
+    """A cancel that is owed to the daemon: when it began, and when it was sent last [s]."""
+
+    began: float
+    last: float = -math.inf
+
+
+@dataclass
+class Goal:
+    """An accepted goal.
+
+    Attributes:
+        joints: of its trajectory; none: they are not known.
+        status: last one on the wire.
+        canceled: whether a cancel was accepted.
+        ended: when it ended [s].
+        result: first one that a client received.
+        told: what the daemon had told of it when it ended.
+        later: requests for goals that came after its acceptance.
+        due: earliest time at which its time limit is over [s].
+    """
+
+    server: str
+    uuid: bytes
+    joints: list[str]
+    status: Status = Status.UNKNOWN
+    canceled: bool = False
+    ended: float = 0.0
+    result: Result | None = None
+    told: list[Told] = field(default_factory=list)
+    later: int = 0
+    due: float = math.inf
+
+    @property
+    def id(self) -> str:
+        return identity(self.uuid)
+
+    @property
+    def active(self) -> bool:
+        return self.status not in ENDS
+
+
+def identity(uuid: bytes) -> str:
+    """Returns the daemon's id of an action's goal."""
+    return f"ros2-{uuid.hex()}"
+
+
+def fits(points: Positions, wanted: Positions | None) -> bool:
+    """Returns whether these points were asked for; a point None is a configuration."""
+    return (
+        wanted is not None
+        and len(points) == len(wanted)
+        and all(it is None or all(map(math.isclose, it, want)) for it, want in zip(points, wanted, strict=True))
+    )
+
+
+class Asks:
+    """Requests and messages of ROS clients that have not had their effect, in the order of their arrival."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock, self.number = clock, 0
+        self.open: list[Ask] = []
+        self.endings = {"stop": Ending(), "cancel": Ending()}
+        self._before = self.endings
+
+    def receive(self, ask: Ask) -> None:
+        self.number = ask.number
+        self.open.append(ask)
+        self._before = {key: replace(it) for key, it in self.endings.items()}
+        if ask.key in self.endings:
+            ending = self.endings[ask.key]
+            ending.since = ending.since if ending.asked > ending.sent else self._clock()
+            ending.asked = ask.number
+
+    def forget(self, ask: Ask) -> None:
+        """Takes the last message back."""
+        self.open.remove(ask)
+        self.endings = self._before
+
+    def send(self, key: str, points: Positions, topic: str = "", uuid: bytes = b"") -> Ask:
+        """Returns what a request for motion, or a plan, is sent for. No stop or cancel bars it, or waits before it."""
+        found = [
+            it
+            for it in self.open
+            if (it.key, it.sent) == (key, False) and fits(points, it.points)
+            and topic in ("", it.name) and uuid in (b"", it.uuid)
+        ]  # fmt: skip
+        if not found:
+            raise Wrong(f"{key} is sent, and nobody asked for it: {points}")
+        allowed = [it for it in found if not self._barred(it)]
+        if not allowed:
+            raise Wrong(f"{key} is sent, though {self._barred(found[-1])}")
+        allowed[0].sent = True
+        if not allowed[0].service:
+            self.open.remove(allowed[0])
+        return allowed[0]
+
+    def _barred(self, ask: Ask) -> str:
+        for key, ending in self.endings.items():
+            if key in BARRED[ask.key] and ending.asked > ask.number:
+                return f"a {key} came after it"
+            waiting = [it.number for it in self.open if it.key == key and it.number > ending.sent]
+            if BARRED[ask.key] and min(waiting, default=ask.number) < ask.number:
+                return f"a {key} that came before it is not sent"
+        return ""
+
+    def send_ending(self, key: str) -> None:
+        ending = self.endings[key]
+        if not any(it.key == key for it in self.open) and ending.asked <= ending.sent:
+            raise Wrong(f"{key} is sent, and nobody asked for it")
+        ending.sent, ending.since = self.number, math.inf
+
+    def reply(self, ask: Ask) -> None:
+        if ask.replied:
+            raise Wrong(f"a request on {ask.name} has two replies")
+        ask.replied = True
+        self.open.remove(ask)
+
+    def check_time(self) -> None:
+        for key, ending in self.endings.items():
+            if self._clock() > ending.since + SENT_WITHIN:
+                raise Wrong(f"a {key} is not sent within {SENT_WITHIN:g} s")
