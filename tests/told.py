@@ -73,22 +73,25 @@ def arm(name: str = "planar16") -> Arm:
     return load(DEPLOY / f"{name}.yaml")
 
 
+def described(which: str | Arm = "planar16", /, **fields: Any) -> Message:
+    """Returns the answer to `arm` of an arm, or of one of deploy/."""
+    return {**json.loads(_described(which) if isinstance(which, str) else _written(which)), **fields}
+
+
 @functools.cache
 def _described(name: str) -> str:
-    whole = arm(name)
+    return _written(arm(name))
+
+
+def _written(whole: Arm) -> str:
     rest = {"limits": [], "sent_obstacles": [], "poses": [], "running": None, "daemon": {"host": "robot", "pid": 1}}
     return json.dumps({**description(whole), "drawing": drawing(whole), "file": file(whole), **rest})
 
 
-def described(which: str = "planar16", /, **fields: Any) -> Message:
-    """Returns the answer to `arm` of an arm of deploy/."""
-    return {**json.loads(_described(which)), **fields}
-
-
-def state(which: str = "planar16", /, configuration: Sequence[int] = (), **fields: Any) -> Message:
+def state(which: str | Arm = "planar16", configuration: Sequence[int] = (), /, **fields: Any) -> Message:
     """Returns a `state` of an arm that is ready, by default contracted."""
-    manipulator = arm(which).manipulator
-    shown = list(configuration) or [0] * len(manipulator.modules)
+    manipulator = (arm(which) if isinstance(which, str) else which).manipulator
+    shown = [int(it) for it in configuration] or [0] * len(manipulator.modules)
     states = manipulator.actuator_states(shown).tolist()
     return {
         **{"stamp": 1.5e9, "mode": "ready", "reason": "holding", "simulated": True, "goal": None, "waypoint": None},

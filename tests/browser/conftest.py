@@ -18,7 +18,7 @@ from PIL import Image
 from hyperbit.controller.panel.access.people import digest_of
 from tests import waiting
 from tests.endpoints import free_endpoint
-from tests.panel.conftest import PlayedDaemon
+from tests.network.played import listening
 from tests.system.stack import arms
 
 T = TypeVar("T")
@@ -104,8 +104,7 @@ class Trouble:
 
     def __init__(self, folder: Path, closing: ExitStack, *, patient: bool = True) -> None:
         endpoint = free_endpoint()
-        self.daemon = PlayedDaemon(endpoint)
-        closing.callback(self.daemon.close)
+        self.daemon = listening(closing, endpoint)
         people = folder / "people.yaml"
         listed = (("anna", "operator", OPERATOR), ("hall", "viewer", VIEWER))
         entries = [f"{{name: {name}, role: {role}, token: {digest_of(token)}}}" for name, role, token in listed]

@@ -6,7 +6,6 @@ The arms are real, with simulated boards; only the list of twenty arms has fake 
 and colours. It shows the first screen; on a phone the whole page, in columns.
 """
 
-import contextlib
 import sys
 import tempfile
 import threading
@@ -17,16 +16,14 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import zenoh
 from PIL import Image
 
-from hyperbit.controller.network import session
 from hyperbit.controller.network.client import Client
 from tests.browser.conftest import OPERATOR, Shown, World, driver, eventually
 from tests.browser.test_page import type_goal
 from tests.browser.test_replay import opened
 from tests.endpoints import free_endpoint
-from tests.panel.conftest import PlayedDaemon
+from tests.network.played import PlayedArm, Router
 from tests.recorder.samples import read_unfinished
 
 SIZES = ((1280, 860), (768, 1024), (360, 740))
@@ -204,11 +201,8 @@ def spatial(screens: Screens) -> None:
 def arms(screens: Screens) -> None:
     """The list of twenty arms."""
     with ExitStack() as ending:
-        endpoint, end = free_endpoint(), threading.Event()
-        ending.enter_context(zenoh.open(session.configuration("router", listen=endpoint)))
-        daemons = [PlayedDaemon(endpoint, f"arm{k:02}", mode="client") for k in range(1, 21)]
-        for daemon in daemons:
-            ending.callback(daemon.close)
+        router, end = Router(ending), threading.Event()
+        daemons = [PlayedArm(ending, router.client(), f"arm{k:02}") for k in range(1, 21)]
 
         def tell() -> None:
             while not end.wait(0.5):
@@ -219,7 +213,7 @@ def arms(screens: Screens) -> None:
         teller.start()
         ending.callback(teller.join)
         ending.callback(end.set)
-        url = screens.world.panel("list", endpoint)
+        url = screens.world.panel("list", router.endpoint)
 
         def prepare(shown: Shown) -> None:
             eventually(lambda: shown.run("return document.body.innerText.split('arm').length") > 20)
@@ -228,15 +222,14 @@ def arms(screens: Screens) -> None:
         screens.take("list", url, "/", prepare)
 
 
-def tell_state(daemon: PlayedDaemon, mode: str) -> None:
+def tell_state(daemon: PlayedArm, mode: str) -> None:
     faults = [{"code": "board-lost", "source": "can0/5", "message": "board can0/5 is silent"}]
     told: dict[str, dict[str, Any]] = {
         "executing": {"reason": "to the goal pick-7", "goal": "pick-7"},
         "stopped": {"reason": "stopped by anna"},
         "fault": {"reason": "board can0/5 is silent", "faults": faults, "configuration": None, "tip": None},
     }
-    with contextlib.suppress(zenoh.ZError):
-        daemon.state(mode=mode, **told.get(mode, {}))
+    daemon.state(mode=mode, **told.get(mode, {}))
 
 
 STATES = (idle, planned, moving, fault, stopped, locked, replay, spatial, arms)

@@ -11,7 +11,7 @@ from hyperbit.controller.panel.access.people import digest_of
 from tests.browser.conftest import OPERATOR, Shown, eventually, started
 from tests.endpoints import free_endpoint, free_port
 from tests.forwarding import Forwarder, passed
-from tests.panel.conftest import PlayedDaemon
+from tests.network.played import listening
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -36,7 +36,7 @@ class Proxy(Forwarder):
 def shown(tmp_path: Path, driver: object) -> Iterator[Shown]:
     with ExitStack() as closing:
         endpoint, page = free_endpoint(), free_port()
-        closing.callback(PlayedDaemon(endpoint).close)
+        listening(closing, endpoint)
         proxy = Proxy(page)
         closing.callback(proxy.close)
         url = f"http://127.0.0.1:{proxy.port}{PREFIX}"

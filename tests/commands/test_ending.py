@@ -117,11 +117,11 @@ def test_a_signal_ends_what_follows_an_arm(
     with ExitStack() as closing:
         router = Router(closing)
         arm = PlayedArm(closing, router.client())
-        arm.publish()
+        arm.state()
         process = start(FOLLOWING[command], "", there=router.endpoint)
 
         def heard() -> bool:
-            arm.publish()
+            arm.state()
             return "ready" in (tmp_path / "log").read_text()
 
         eventually(heard)

@@ -99,15 +99,15 @@ def test_all_may_watch_and_stop_and_few_may_command(cell: Cell, who: str, may_co
             lambda key=key: answered(opened, f"**/hyperbit/*/{key}") == {f"{it.prefix}/{key}" for it in (HERE, THERE)}
         )
     for arm, address in zip(cell.arms, (HERE, THERE), strict=True):
-        arm.requests.clear()
+        arm.asked.clear()
         assert answered(opened, f"{address.prefix}/goal") == ({f"{address.prefix}/goal"} if may_command else set())
-        assert arm.requests == (["goal"] if may_command else [])
+        assert arm.commands() == (["goal"] if may_command else [])
     assert stop_all(opened, timeout=PATIENCE).answers.keys() == {HERE, THERE}
     with closing(Fleet(opened)) as fleet:
 
         def shown() -> bool:
             for arm in cell.arms:
-                arm.publish()
+                arm.state()
             fleet.ask()
             return [(it.address, it.version, it.state is not None) for it in fleet.arms()] == [
                 (HERE, "9.9", True),

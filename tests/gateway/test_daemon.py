@@ -3,8 +3,6 @@
 import contextlib
 import os
 import signal
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,83 +14,71 @@ import zenoh
 from hyperbit.controller.network import session
 from hyperbit.controller.network.client import Client, Unanswered
 from hyperbit.controller.planning.ledger_file import read
+from tests.system.stack.processes import Process, commands
 from tests.waiting import PATIENCE, eventually
 
-RUN = """
-import sys
-import typer
-from hyperbit.controller.commands.common import CommandFailed
-from hyperbit.controller.commands.operate.run import run
-
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-app.command()(run)
-try:
-    app()
-except CommandFailed as error:
-    sys.exit(f"failed: {error}")
-"""
-EXECUTOR = "from hyperbit.controller.cli import main; main()"
 HOUR = 3600.0
 FIRST, SECOND = "4646676700771206", "0000000000000001"
+Heard = list[dict[str, Any]]
 
 
-class Process:
-    def __init__(self, arm: Path, endpoint: str, folder: Path, ledger: Path, *words: str) -> None:
-        self.endpoint, self.ledger, self.folder = endpoint, ledger, folder
-        environment = {
-            **os.environ, "XDG_RUNTIME_DIR": str(folder), "XDG_STATE_HOME": str(folder), "NOTIFY_SOCKET": "",
-            "OPENBLAS_NUM_THREADS": "1",
-        }  # fmt: skip
-        environment.pop("STATE_DIRECTORY", None)
-        environment.pop("RUNTIME_DIRECTORY", None)
-        command = [sys.executable, "-c", RUN, str(arm), "--listen", endpoint, "--ledger", str(ledger), *words]
-        self.process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
-        )
+class Place:
+    """A folder with the arm's file, and processes of hyperbit in it, which end with the test."""
 
-    @property
-    def executors(self) -> list[int]:
-        """Ids of its child processes, but the keeper of its events."""
-        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
-        others = (int(number) for number in children.read_text().split())
-        return [pid for pid in others if b"keeper.py" not in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    def __init__(self, folder: Path, arm: Path, endpoint: str) -> None:
+        self.folder, self.ledger, self._arm, self.endpoint = folder, folder / "ledger.sqlite", arm, endpoint
+        self.processes: list[Process] = []
 
-    def failure(self) -> str:
-        """Its output when it ends by itself."""
-        assert self.process.stderr
-        _, errors = self.process.communicate(timeout=2 * PATIENCE)
-        assert self.process.returncode == 1, errors
-        return str(errors)
+    def start(self, *words: str) -> Process:
+        folders = {name: str(self.folder) for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME")}
+        quiet = {"NOTIFY_SOCKET": "", "OPENBLAS_NUM_THREADS": "1", "STATE_DIRECTORY": "", "RUNTIME_DIRECTORY": ""}
+        log = self.folder / f"log-{len(self.processes)}"
+        self.processes.append(commands().start([words[0], str(self._arm), *words[1:]], log, folders | quiet))
+        return self.processes[-1]
+
+    def run(self, *words: str, ledger: Path | None = None, endpoint: str = "") -> Process:
+        named = ("--listen", endpoint or self.endpoint, "--ledger", str(ledger or self.ledger))
+        return self.start("run", *named, *words)
+
+    def end(self) -> None:
+        for process in reversed(self.processes):
+            process.kill()
 
 
 @pytest.fixture
-def folder() -> Iterator[Path]:
-    """A folder of a short name, for sockets."""
-    with tempfile.TemporaryDirectory(prefix="hb") as name:
-        yield Path(name)
+def place(arm_file: Path, endpoint: str) -> Iterator[Place]:
+    with tempfile.TemporaryDirectory(prefix="hb") as name:  # a short name, for sockets
+        place = Place(Path(name), arm_file, endpoint)
+        yield place
+        place.end()
 
 
-@pytest.fixture
-def process(arm_file: Path, endpoint: str, folder: Path) -> Iterator[Process]:
-    process = Process(arm_file, endpoint, folder, folder / "ledger.sqlite", "--simulate")
-    yield process
-    process.process.kill()
-    process.process.communicate()
+def executors(process: Process) -> list[int]:
+    """Returns the ids of its child processes, but the keeper of its events."""
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    others = (int(number) for number in children.read_text().split())
+    return [pid for pid in others if b"keeper.py" not in Path(f"/proc/{pid}/cmdline").read_bytes()]
+
+
+def failure(process: Process) -> str:
+    """Returns what a process has said when it ended by itself."""
+    assert process.code == 1
+    return " ".join(process.log.read_text().split())
 
 
 @contextlib.contextmanager
-def connected(process: Process) -> Iterator[tuple[Client, list[dict[str, Any]], list[dict[str, Any]]]]:
+def connected(place: Place) -> Iterator[tuple[Client, Heard, Heard]]:
     """A client of a daemon that is ready, the received states, and the results."""
 
     def opened() -> zenoh.Session | None:
-        assert process.process.poll() is None, process.failure()
+        assert place.processes[-1].alive, failure(place.processes[-1])
         try:
-            return zenoh.open(session.configuration("client", connect=process.endpoint))
+            return zenoh.open(session.configuration("client", connect=place.endpoint))
         except zenoh.ZError:
             return None
 
     with eventually(opened) as live:
-        client, states, results = Client(live, "planar16"), list[dict[str, Any]](), list[dict[str, Any]]()
+        client, states, results = Client(live, "planar16"), Heard(), Heard()
         client.subscribe("state", states.append)
         client.subscribe("result", results.append)
         eventually(lambda: states and states[-1]["mode"] == "ready")
@@ -100,16 +86,14 @@ def connected(process: Process) -> Iterator[tuple[Client, list[dict[str, Any]], 
 
 
 def gone(number: int) -> bool:
-    try:
-        os.kill(number, 0)
-    except ProcessLookupError:
-        return True
-    return Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    path = Path(f"/proc/{number}/stat")
+    return not path.exists() or path.read_text().rpartition(")")[2].split()[0] == "Z"
 
 
-def test_goals_configurations_and_jogs_move_the_arm_and_a_signal_ends_all_in_order(process: Process) -> None:
-    with connected(process) as (client, states, results):
-        feedback: list[dict[str, Any]] = []
+def test_goals_configurations_and_jogs_move_the_arm_and_a_signal_ends_all_in_order(place: Place) -> None:
+    process = place.run("--simulate")
+    with connected(place) as (client, states, results):
+        feedback = Heard()
         goal = {"waypoints": [{"position": [0.55, 2.9]}, {"t": 1.0, "configuration": FIRST}]}
         result = client.run(goal, feedback.append, silence=PATIENCE)
         assert (result["status"], result["configuration"]) == ("succeeded", FIRST)
@@ -124,58 +108,44 @@ def test_goals_configurations_and_jogs_move_the_arm_and_a_signal_ends_all_in_ord
         assert client.request("goal", later, timeout=PATIENCE)["id"] == "later"
         eventually(lambda: states[-1]["goal"] == "later")
         switches = result["switches"] + 1  # the executor sends its counts once a second
-        eventually(lambda: sum(read(process.ledger)[0].values()) >= switches)
-        (executor,) = process.executors
-        process.process.send_signal(signal.SIGTERM)
-        assert process.process.wait(PATIENCE) == 0
+        eventually(lambda: sum(read(place.ledger)[0].values()) >= switches)
+        (executor,) = executors(process)
+        process.send(signal.SIGTERM)
+        assert process.code == 0
         eventually(lambda: [r["status"] for r in results if r["id"] == "later"] == ["aborted"])
     assert gone(executor)
-    goals = read(process.ledger)[1]
-    ended = [(goal["id"], goal["status"]) for goal in goals if not goal["id"].startswith("jog")]
+    ended = [(it["id"], it["status"]) for it in read(place.ledger)[1] if not it["id"].startswith("jog")]
     assert ended == [("later", "aborted"), (result["id"], "succeeded")]
 
 
-def test_the_planner_ends_with_its_executor_and_says_so(process: Process) -> None:
-    with connected(process) as (client, states, results):
+def test_a_second_daemon_does_not_start_and_a_planner_ends_with_its_executor(place: Place) -> None:
+    process = place.run("--simulate")
+    with connected(place) as (client, states, results):
+        nowhere = "tcp/127.0.0.1:0"
+        second = place.run("--socket", str(place.folder), endpoint=nowhere)
+        assert f"{place.ledger} is in use by process {process.pid}" in failure(second)
+        third = place.run("--simulate", ledger=place.folder / "other.sqlite", endpoint=nowhere)
+        assert "the executor ended with code" in failure(third)
+        assert client.request("arm", timeout=PATIENCE)["daemon"]["pid"] == process.pid
         goal = {"id": "a", "waypoints": [{"configuration": FIRST}, {"t": HOUR, "configuration": SECOND}]}
         assert client.request("goal", goal, timeout=PATIENCE)["accepted"]
         eventually(lambda: states[-1]["goal"] == "a")
-        os.kill(process.executors[0], signal.SIGKILL)
-        assert "failed: the executor ended with code -9" in process.failure()
+        os.kill(executors(process)[0], signal.SIGKILL)
+        assert "the executor ended with code -9" in failure(process)
         eventually(lambda: [result["status"] for result in results] == ["aborted"])
         eventually(lambda: not client.alive())
 
 
-def test_a_second_daemon_on_the_same_ledger_or_executor_does_not_start(
-    process: Process, arm_file: Path, folder: Path
-) -> None:
-    with connected(process) as (client, _, _):
-        pid = process.process.pid
-        second = Process(arm_file, "tcp/127.0.0.1:0", folder, process.ledger, "--socket", str(folder))
-        assert f"{process.ledger} is in use by process {pid}" in second.failure()
-        third = Process(arm_file, "tcp/127.0.0.1:0", folder, folder / "other.sqlite", "--simulate")
-        assert "the executor ended with code" in third.failure()
-        assert client.request("arm", timeout=PATIENCE)["daemon"]["pid"] == pid
-
-
-def test_an_executor_that_runs_already_survives_the_planner(arm_file: Path, endpoint: str, folder: Path) -> None:
-    socket = folder / "planar16.sock"
-    words = ["execute", str(arm_file), "--simulate", "--socket", str(socket), "--journal", str(folder / "journal")]
-    command = [sys.executable, "-c", f"import sys; sys.argv[1:] = {words!r}; {EXECUTOR}"]
-    executor = subprocess.Popen(command, stdin=subprocess.PIPE)
-    try:
-        process = Process(arm_file, endpoint, folder, folder / "ledger.sqlite", "--socket", str(folder), "--simulate")
-        try:
-            with connected(process) as (client, _, _):
-                assert process.executors == []
-                process.process.send_signal(signal.SIGINT)
-                assert process.process.wait(PATIENCE) == 0
-                with pytest.raises(Unanswered):
-                    client.request("stop", timeout=1.0)
-        finally:
-            process.process.kill()
-            process.process.communicate()
-        assert executor.poll() is None
-    finally:
-        executor.terminate()
-        assert executor.wait(PATIENCE) == 0
+def test_an_executor_that_runs_already_survives_the_planner(place: Place) -> None:
+    words = ("--simulate", "--socket", str(place.folder / "planar16.sock"), "--journal", str(place.folder / "journal"))
+    executor = place.start("execute", *words)
+    process = place.run("--socket", str(place.folder), "--simulate")
+    with connected(place) as (client, _, _):
+        assert executors(process) == []
+        process.send(signal.SIGINT)
+        assert process.code == 0
+        with pytest.raises(Unanswered):
+            client.request("stop", timeout=1.0)
+    assert executor.alive
+    executor.send(signal.SIGTERM)
+    assert executor.code == 0

@@ -15,6 +15,7 @@ from hyperbit.controller.network import fleet as fleets
 from hyperbit.controller.network import session
 from hyperbit.controller.network.fleet import LIST_TIMEOUT, ArmAddress, ArmStatus, Fleet, address_of, alive
 from hyperbit.controller.network.stop_all import stop_all
+from tests import told
 from tests.endpoints import free_endpoint
 from tests.network.played import PlayedArm, Router
 from tests.strangers import intrude
@@ -82,17 +83,17 @@ def test_equal_names_in_several_namespaces_are_all_found(stack: ExitStack, route
     found = awaited(fleet, lambda found: living(found) == arms.keys() and all(arm.host for arm in found.values()))
     assert all(arm.state is None and arm.is_old for arm in found.values())
     for address, arm in arms.items():
-        arm.publish(goal=str(address))
+        arm.state(goal=str(address))
     found = awaited(fleet, lambda found: all(arm.state for arm in found.values()))
     assert [(arm.state or {})["goal"] for arm in found.values()] == [str(address) for address in arms]
-    assert {(arm.host, arm.version) for arm in found.values()} == {("here", "9.9")}
+    assert {(arm.host, arm.version) for arm in found.values()} == {("robot", told.described()["version"])}
 
 
 def test_an_arm_that_ends_is_gone_and_comes_back_as_one_row(stack: ExitStack, router: Router, fleet: Fleet) -> None:
     PlayedArm(stack, router.client("cell1"))
     for _ in range(2):
         arm = PlayedArm(stack, router.client())
-        awaited(fleet, lambda arms: living(arms) == {HERE, THERE} and arms[HERE].host == "here")
+        awaited(fleet, lambda arms: living(arms) == {HERE, THERE} and arms[HERE].host == "robot")
         arm.end()
         gone = awaited(fleet, lambda arms: living(arms) == {THERE})
         assert gone.keys() == {HERE, THERE}
@@ -109,7 +110,7 @@ def test_all_rows_come_back_after_the_router_was_ended(stack: ExitStack, router:
 
     def heard() -> bool:
         for arm in arms:
-            arm.publish(goal="afterwards")
+            arm.state(goal="afterwards")
         return [(arm.state or {}).get("goal") for arm in fleet.arms()] == ["afterwards"] * 2
 
     eventually(heard)
@@ -122,8 +123,8 @@ def test_malformed_states_harm_no_other_arm(stack: ExitStack, router: Router, fl
 
     def heard() -> bool:
         for arm, payload in zip(broken, payloads, strict=True):
-            arm.publish_bytes(payload)
-        whole.publish()
+            arm.put("state", payload)
+        whole.state()
         arms = fleet.arms()
         return len(arms) == len(payloads) + 1 and all(arm.age is not None for arm in arms)
 
@@ -137,7 +138,7 @@ def test_a_stop_for_all_reaches_each_arm(stack: ExitStack, router: Router, viewe
     report = stop_all(viewer, timeout=PATIENCE)
     assert report.complete
     assert report.answers.keys() == arms.keys()
-    assert [arm.requests for arm in arms.values()] == [["stop"]] * 3, "once each"
+    assert [arm.commands() for arm in arms.values()] == [["stop"]] * 3, "once each"
 
 
 def test_a_stop_for_all_of_one_namespace_leaves_the_others(
@@ -146,7 +147,7 @@ def test_a_stop_for_all_of_one_namespace_leaves_the_others(
     arms = {address: PlayedArm(stack, router.client(address.namespace)) for address in (HERE, THERE)}
     eventually(lambda: alive(viewer) == sorted(arms))
     assert stop_all(viewer, ("hyperbit/*",), timeout=PATIENCE).answers.keys() == {HERE}
-    assert arms[THERE].requests == []
+    assert arms[THERE].asked == []
 
 
 def test_a_stranger_takes_no_arm_from_the_list_and_no_stop(
@@ -165,8 +166,8 @@ def test_a_stranger_takes_no_arm_from_the_list_and_no_stop(
     for prefix in (HERE.prefix, "hyperbit/x"):
         intrude(stranger, prefix)
     awaited(fleet, lambda found: living(found) == {HERE})
-    assert stop_all(viewer, timeout=PATIENCE).answers[HERE]["message"] == "stopped"
-    assert "stop" in arm.requests
+    assert stop_all(viewer, timeout=PATIENCE).answers[HERE]["message"] == "done"
+    assert "stop" in arm.commands()
     queryable.undeclare()  # type: ignore[no-untyped-call]
 
 
@@ -177,7 +178,7 @@ def test_an_arm_without_an_answer_is_named(stack: ExitStack, router: Router, vie
     report = stop_all(viewer, timeout=1.0)
     assert (report.silent, list(report.answers)) == ([THERE], [HERE])
     assert not report.complete
-    assert len(silent.requests) > 1, "it was asked again by its name"
+    assert len(silent.asked) > 1, "it was asked again by its name"
 
 
 def test_an_arm_that_starts_during_a_stop_for_all_is_stopped(
@@ -188,14 +189,14 @@ def test_an_arm_that_starts_during_a_stop_for_all_is_stopped(
 
     def looking(session: zenoh.Session, places: tuple[str, ...]) -> list[ArmAddress]:
         if not late:  # the wildcards were sent before
-            eventually(lambda: first.requests)
+            eventually(lambda: first.asked)
             late.append(PlayedArm(stack, router.client("cell1")))
             eventually(lambda: alive(viewer) == [HERE, THERE])
         return alive(session, places)
 
     monkeypatch.setattr("hyperbit.controller.network.stop_all.alive", looking)
     assert stop_all(viewer, timeout=PATIENCE).answers.keys() == {HERE, THERE}
-    assert late[0].requests == ["stop"]
+    assert late[0].commands() == ["stop"]
 
 
 def test_without_an_arm_nothing_has_stopped(viewer: zenoh.Session) -> None:

@@ -14,7 +14,8 @@ from websockets.sync.client import ClientConnection, connect
 from hyperbit.controller.panel.access.people import digest_of
 from tests.endpoints import free_endpoint, free_port
 from tests.forwarding import Forwarder
-from tests.panel.conftest import ARM, OPERATOR, PlayedDaemon
+from tests.network.played import ARM, listening
+from tests.panel.conftest import OPERATOR
 from tests.panel.test_server import running
 from tests.waiting import PATIENCE, eventually
 
@@ -77,7 +78,7 @@ def test_idle_connections_take_nothing_from_an_operator(tmp_path: Path, through:
     people.write_text(f"people: [{{name: anna, role: operator, token: {digest_of(OPERATOR)}}}]\n")
     words = ["--listen", f"127.0.0.1:{port}", "--people", str(people), "--connect", endpoint]
     with ExitStack() as closing:
-        closing.callback(PlayedDaemon(endpoint).close)
+        listening(closing, endpoint)
         proxy = Forwarder(port)
         closing.callback(proxy.close)
         target = proxy.port if through == "proxy" else port

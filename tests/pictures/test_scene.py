@@ -10,8 +10,9 @@ from hyperbit.controller.manipulator import frames
 from hyperbit.controller.pictures.scene import MEASURED, TRAVELLING, UNKNOWN, FoxgloveScene, quaternion, rgba, turn_to
 from hyperbit.controller.recorder.schemas import FOXGLOVE, SCENE, TRANSFORMS
 from tests.keys import DEPLOY
-from tests.recorder.samples import planar, state, told
 from tests.recorder.shapes import misfits
+from tests.told import arm as planar
+from tests.told import described, state
 
 ARMS = ("planar16", "revolute24", "platform8", "motor12")
 
@@ -23,11 +24,11 @@ def matrix(translation: dict[str, float], rotation: dict[str, float]) -> np.ndar
 @pytest.mark.parametrize("name", ARMS)
 def test_frames_and_lines_are_the_arms(name: str) -> None:
     arm = load(DEPLOY / f"{name}.yaml")
-    m, scene = arm.manipulator, FoxgloveScene(told(arm))
+    m, scene = arm.manipulator, FoxgloveScene(described(arm))
     rng = np.random.default_rng(3)
     for _ in range(3):
         configuration = [int(rng.integers(count)) for count in m.states]
-        now = state(arm, configuration, 5.25)
+        now = state(arm, configuration, stamp=5.25)
         message = scene.transforms(now, 5.25)
         assert misfits(message, FOXGLOVE[TRANSFORMS]) == []
         chain, found, parent = m.chain(configuration), np.eye(4), "world"
@@ -49,7 +50,7 @@ def test_frames_and_lines_are_the_arms(name: str) -> None:
 
 def test_colours_tell_what_is_measured() -> None:
     arm = planar()
-    scene, now = FoxgloveScene(told(arm)), state(arm, [0] * 16, 1.0)
+    scene, now = FoxgloveScene(described(arm)), state(arm, [0] * 16, stamp=1.0)
 
     def colours(**changes: Any) -> list[Any]:
         entities = scene.update({**now, **changes}, 1.0)["entities"][:16]
@@ -64,13 +65,13 @@ def test_colours_tell_what_is_measured() -> None:
 
 
 def test_goal_and_obstacles_are_drawn() -> None:
-    arm = told(planar())
+    arm = described(planar())
     arm["obstacles"] = [
         {"disc": {"centre": [1.2, 2.0], "radius": 0.3}, "name": "pillar"},
         {"box": {"centre": [1.0, 1.0], "size": [0.5, 0.25], "angle": np.pi}},
     ]
     arm["sent_obstacles"] = [{"half_plane": {"point": [0.0, -0.1], "normal": [0.0, 1.0]}}, {"none": {}}]
-    now = {**state(planar(), [0] * 16, 1.0), "target": {"position": [0.5, 2.9], "orientation": None}}
+    now = {**state(planar(), [0] * 16, stamp=1.0), "target": {"position": [0.5, 2.9], "orientation": None}}
     update = FoxgloveScene(arm).update(now, 1.0)
     assert misfits(update, FOXGLOVE[SCENE]) == []
     goal, obstacles = update["entities"][-2:]
@@ -85,13 +86,13 @@ def test_goal_and_obstacles_are_drawn() -> None:
 
 
 def test_spheres_and_half_spaces_are_drawn() -> None:
-    arm = told(load(DEPLOY / "platform8.yaml"))
+    arm = described(load(DEPLOY / "platform8.yaml"))
     arm["obstacles"] = [
         {"sphere": {"centre": [1.0, 2.0, 3.0], "radius": 0.5}},
         {"half_space": {"point": [0.0, 0.0, -1.0], "normal": [0.0, 0.0, 2.0]}},
         {"box": {"centre": [1, 1, 1], "size": [1, 2, 3], "orientation": [0, 0, 0, 1]}},
     ]
-    update = FoxgloveScene(arm).update(state(load(DEPLOY / "platform8.yaml"), [0] * 8, 1.0), 1.0)
+    update = FoxgloveScene(arm).update(state(load(DEPLOY / "platform8.yaml"), [0] * 8, stamp=1.0), 1.0)
     assert misfits(update, FOXGLOVE[SCENE]) == []
     obstacles = update["entities"][-1]
     assert obstacles["spheres"][0]["size"] == {"x": 1.0, "y": 1.0, "z": 1.0}
@@ -113,7 +114,7 @@ def test_quaternions_are_those_of_the_manipulator() -> None:
 
 @pytest.mark.parametrize("broken", ["drawing", "frames", "actuators", "base"])
 def test_an_arm_that_is_told_otherwise_is_refused(broken: str) -> None:
-    arm = told(planar())
+    arm = described(planar())
     with pytest.raises((LookupError, ValueError, TypeError)):
         FoxgloveScene({key: value for key, value in arm.items() if key != broken})
     with pytest.raises((LookupError, ValueError, TypeError)):

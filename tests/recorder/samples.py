@@ -1,4 +1,4 @@
-"""Messages of an arm for the tests, and what reads recordings: the package mcap, and small_mcap as a second one."""
+"""What reads recordings: the package mcap, and small_mcap as a second one."""
 
 import io
 import json
@@ -9,10 +9,7 @@ import small_mcap
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.stream_reader import StreamReader
 
-from hyperbit.controller.arm.arm import Arm, load
-from hyperbit.controller.arm.description import description, drawing, file
 from hyperbit.controller.network.listener import ReceivedMessage
-from tests.keys import DEPLOY
 
 SECOND = 1_000_000_000  # [ns]
 
@@ -66,22 +63,6 @@ def recovered_by_another(data: bytes) -> list[Read]:
 def names(path: Path) -> list[str]:
     with path.open("rb") as stream:
         return [type(record).__name__ for record in StreamReader(stream).records]
-
-
-def planar() -> Arm:
-    return load(DEPLOY / "planar16.yaml")
-
-
-def told(arm: Arm) -> dict[str, Any]:
-    daemon = {"host": "robot", "pid": 1}
-    payload = {**description(arm), "limits": [], "drawing": drawing(arm), "file": file(arm), "daemon": daemon}
-    return json.loads(json.dumps(payload))  # type: ignore[no-any-return]
-
-
-def state(arm: Arm, configuration: list[int], stamp: float, **changes: Any) -> dict[str, Any]:
-    states = arm.manipulator.actuator_states(configuration).tolist()
-    common = {"stamp": stamp, "mode": "ready", "reason": "holding", "faults": [], "degraded": [], "goal": None}
-    return {**common, "commanded": states, "measured": states, "configuration": "", "tip": None, **changes}
 
 
 def heard(at: float, key: str, message: Any) -> ReceivedMessage:

@@ -13,7 +13,7 @@ from hyperbit.controller.arm.arm import load
 from hyperbit.controller.pictures.scene import FoxgloveScene
 from hyperbit.controller.recorder.schemas import FOXGLOVE, LOG, SCENE, TIME, TRANSFORMS, Schema
 from tests.keys import DEPLOY
-from tests.recorder.samples import state, told
+from tests.told import described, state
 
 OFFICIAL: dict[str, Any] = {SCENE: SceneUpdate, TRANSFORMS: FrameTransforms, LOG: Log}
 TIMES = ("google.protobuf.Timestamp", "google.protobuf.Duration")  # in JSON Foxglove writes {sec, nsec}
@@ -67,12 +67,11 @@ def test_schemas_have_the_fields_of_foxgloves_types(name: str) -> None:
 @pytest.mark.parametrize("name", ["planar16", "platform8", "motor12"])
 def test_messages_are_foxgloves(name: str) -> None:
     arm = load(DEPLOY / f"{name}.yaml")
-    described = told(arm)
     sphere = {"centre": [0.5] * arm.manipulator.dimension, "radius": 0.3}
-    described["obstacles"] = [{"disc" if arm.manipulator.dimension == 2 else "sphere": sphere}]
-    scene, home = FoxgloveScene(described), [0] * len(arm.manipulator.modules)
+    known = described(arm, obstacles=[{"disc" if arm.manipulator.dimension == 2 else "sphere": sphere}])
+    scene, home = FoxgloveScene(known), [0] * len(arm.manipulator.modules)
     target = {"position": [0.5] * arm.manipulator.dimension, "orientation": None}
-    now = {**state(arm, home, 5.25), "target": target}
+    now = {**state(arm, home, stamp=5.25), "target": target}
     update, transforms = scene.update(now, 5.25), scene.transforms(now, 5.25)
     assert len(ParseDict(as_protobuf(update), SceneUpdate()).entities) == len(update["entities"]) > len(home)
     assert len(ParseDict(as_protobuf(transforms), FrameTransforms()).transforms) == len(transforms["transforms"])

@@ -20,7 +20,9 @@ from hyperbit.controller.network import session
 from hyperbit.controller.recorder.folder import Folder
 from hyperbit.controller.recorder.recording import FLUSH_EVERY
 from tests.endpoints import free_endpoint
-from tests.recorder.samples import planar, read, read_by_another, read_unfinished, recovered_by_another, state, told
+from tests.recorder.samples import read, read_by_another, read_unfinished, recovered_by_another
+from tests.told import arm as planar
+from tests.told import described, state
 from tests.waiting import eventually
 
 ROUNDS, TOGETHER = 2, 5  # 10 kills
@@ -44,13 +46,13 @@ main()
 def daemon() -> Iterator[str]:
     """The endpoint of a daemon that publishes an arm's state 50 times a second, as fast as the machine lets it."""
     arm, ending, endpoint = planar(), threading.Event(), free_endpoint()
-    description = json.dumps(told(arm)).encode()
+    description = json.dumps(described(arm)).encode()
 
     def publish(opened: zenoh.Session) -> None:
         k = 0
         while not ending.wait(0.02):
             k += 1
-            message = state(arm, [k // 10 % 8] * 16, time.time())
+            message = state(arm, [k // 10 % 8] * 16, stamp=time.time())
             opened.put("hyperbit/planar16/state", json.dumps({**message, "waypoint": k}))
 
     with zenoh.open(session.configuration("peer", listen=endpoint)) as opened:

@@ -20,7 +20,9 @@ from hyperbit.controller.recorder.folder import Folder
 from hyperbit.controller.recorder.player import Player, Timeline
 from hyperbit.controller.recorder.reader import RecordingReader
 from hyperbit.controller.recorder.recorder import Limits, Recorder
-from tests.recorder.samples import heard, planar, state, told
+from tests.recorder.samples import heard
+from tests.told import arm as planar
+from tests.told import described, state
 from tests.waiting import PATIENCE, eventually
 
 
@@ -34,9 +36,9 @@ def past(tmp_path: Path, arm: Arm) -> Iterator[RecordingReader]:
     """Ten seconds of an arm, a state every half second and a result every two."""
     began: list[Path] = []
     recorder = Recorder("planar16", Folder(tmp_path, "planar16"), Limits(10**9, 10**9), began=began.append)
-    recorder.receive_message(heard(0.0, "arm", told(arm)))
+    recorder.receive_message(heard(0.0, "arm", described(arm)))
     for k in range(21):
-        recorder.receive_message(heard(0.5 * k, "state", state(arm, [k % 8] * 16, 100.0 + 0.5 * k)))
+        recorder.receive_message(heard(0.5 * k, "state", state(arm, [k % 8] * 16, stamp=100.0 + 0.5 * k)))
         if k % 4 == 0:
             recorder.receive_message(heard(0.5 * k + 0.1, "result", {"id": f"g{k}", "status": "succeeded", "code": 0}))
     recorder.end_recording()
@@ -161,7 +163,7 @@ def test_a_page_sees_the_past_and_moves_the_time_line(past: RecordingReader, arm
         thread.start()
         try:
             eventually(client.alive)
-            assert client.request("arm", timeout=PATIENCE) == told(arm)
+            assert client.request("arm", timeout=PATIENCE) == described(arm)
             begin = past.begin / 1e9
             answer = client.request("timeline", {"at": begin + 7.2, "paused": True}, PATIENCE)
             assert (answer["accepted"], answer["at"], answer["paused"]) == (True, pytest.approx(begin + 7.2), True)

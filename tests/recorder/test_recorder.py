@@ -16,8 +16,10 @@ from hyperbit.controller.recorder.folder import Folder
 from hyperbit.controller.recorder.recorder import MOST_TOPICS, Limits, Recorder
 from hyperbit.controller.recorder.recording import Recording
 from hyperbit.controller.recorder.schemas import FOXGLOVE, LOG, TOPICS
-from tests.recorder.samples import SECOND, Read, heard, names, planar, read, read_by_another, state, told
+from tests.recorder.samples import SECOND, Read, heard, names, read, read_by_another
 from tests.recorder.shapes import misfits
+from tests.told import arm as planar
+from tests.told import described, state
 
 PREFIX = "hyperbit/planar16"
 LIMITS = Limits(10**9, 10**9)
@@ -43,9 +45,9 @@ def on(messages: list[Read], topic: str) -> list[dict[str, Any]]:
 
 def test_all_topics_are_recorded_with_scene_frames_and_log(tmp_path: Path, recorder: Recorder, arm: Arm) -> None:
     recorder.receive_message(heard(1.0, "alive", b""))
-    recorder.receive_message(heard(1.0, "arm", told(arm)))
+    recorder.receive_message(heard(1.0, "arm", described(arm)))
     for k in range(40):
-        recorder.receive_message(heard(1.1 + 0.05 * k, "state", state(arm, [k // 20] * 16, 100.0 + 0.05 * k)))
+        recorder.receive_message(heard(1.1 + 0.05 * k, "state", state(arm, [k // 20] * 16, stamp=100.0 + 0.05 * k)))
     goal = {"id": "g", "waypoints": [{"position": [0.5, 2.9]}]}
     answer = {"accepted": True, "id": "g", "code": 0, "message": "accepted"}
     recorder.receive_message(heard(3.1, "request", {"stamp": 102.0, "key": "goal", "payload": goal, "answer": answer}))
@@ -81,10 +83,10 @@ def test_all_topics_are_recorded_with_scene_frames_and_log(tmp_path: Path, recor
 def test_each_recording_can_be_understood_alone(tmp_path: Path, arm: Arm) -> None:
     began: list[Path] = []
     recorder = Recorder("planar16", Folder(tmp_path, "planar16"), Limits(20_000, 10**9), began=began.append)
-    recorder.receive_message(heard(1.0, "arm", told(arm)))
+    recorder.receive_message(heard(1.0, "arm", described(arm)))
     for k in range(60):
         configuration = [(k + m) % 8 for m in range(16)]
-        recorder.receive_message(heard(1.0 + k, "state", state(arm, configuration, float(k))))
+        recorder.receive_message(heard(1.0 + k, "state", state(arm, configuration, stamp=float(k))))
         recorder.turn()
     recorder.end_recording()
     assert len(began) > 2
@@ -102,7 +104,7 @@ def test_each_recording_can_be_understood_alone(tmp_path: Path, arm: Arm) -> Non
 def test_a_recording_ends_with_its_time(tmp_path: Path, arm: Arm) -> None:
     recorder = Recorder("planar16", Folder(tmp_path, "planar16"), Limits(10**9, 1e-9))
     for k in range(3):
-        recorder.receive_message(heard(1.0 + k, "state", state(arm, [0] * 16, float(k))))
+        recorder.receive_message(heard(1.0 + k, "state", state(arm, [0] * 16, stamp=float(k))))
         recorder.turn()
     recorder.end_recording()
     assert len(files(tmp_path)) >= 3
@@ -112,8 +114,8 @@ def test_a_recording_ends_with_its_time(tmp_path: Path, arm: Arm) -> None:
 def test_a_recording_begins_with_the_clock_as_it_is_then(tmp_path: Path, arm: Arm, years: int) -> None:
     wall = [1_700_000_000]
     recorder = Recorder("planar16", Folder(tmp_path, "planar16"), LIMITS, wall=lambda: wall[0] * SECOND)
-    recorder.receive_message(heard(time.monotonic(), "arm", told(arm)))
-    recorder.receive_message(heard(time.monotonic(), "state", state(arm, [0] * 16, wall[0])))
+    recorder.receive_message(heard(time.monotonic(), "arm", described(arm)))
+    recorder.receive_message(heard(time.monotonic(), "state", state(arm, [0] * 16, stamp=wall[0])))
     wall[0] += years * 31_536_000
     recorder.turn()
     recorder.receive_message(heard(time.monotonic(), "goal", {"id": "g"}))
@@ -149,7 +151,7 @@ def test_whatever_is_published_is_recorded(tmp_path: Path, recorder: Recorder, a
 def test_messages_of_another_version_are_recorded(
     tmp_path: Path, recorder: Recorder, arm: Arm, message: dict[str, Any]
 ) -> None:
-    recorder.receive_message(heard(1.0, "arm", told(arm)))
+    recorder.receive_message(heard(1.0, "arm", described(arm)))
     for key in ("state", "result", "request", "diagnostics"):
         recorder.receive_message(heard(1.0, key, message))
     recorder.end_recording()
@@ -169,22 +171,22 @@ def test_many_keys_of_somebody_else_do_not_become_many_channels(tmp_path: Path, 
 def test_a_disk_that_fails_is_told_and_tried_again(
     tmp_path: Path, recorder: Recorder, arm: Arm, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    recorder.receive_message(heard(1.0, "arm", told(arm)))
-    recorder.receive_message(heard(1.0, "state", state(arm, [0] * 16, 1.0)))
+    recorder.receive_message(heard(1.0, "arm", described(arm)))
+    recorder.receive_message(heard(1.0, "state", state(arm, [0] * 16, stamp=1.0)))
     write: Callable[..., None] = Recording.write
 
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Recording, "write", full)
-    recorder.receive_message(heard(2.0, "state", state(arm, [1] * 16, 2.0)))
+    recorder.receive_message(heard(2.0, "state", state(arm, [1] * 16, stamp=2.0)))
     assert "No space left on device" in caplog.text
-    recorder.receive_message(heard(2.5, "state", state(arm, [1] * 16, 2.5)))
+    recorder.receive_message(heard(2.5, "state", state(arm, [1] * 16, stamp=2.5)))
     assert len(files(tmp_path)) == 1, "the next attempt comes later"
     monkeypatch.setattr(Recording, "write", write)
     monkeypatch.setattr(module, "RETRY", 0.0)
     recorder.retry_at = 0.0
-    recorder.receive_message(heard(3.0, "state", state(arm, [2] * 16, 3.0)))
+    recorder.receive_message(heard(3.0, "state", state(arm, [2] * 16, stamp=3.0)))
     recorder.end_recording()
     assert len(files(tmp_path)) == 2
     assert on(read(files(tmp_path)[1]), "state")[-1]["stamp"] == 3.0
@@ -197,7 +199,7 @@ def test_a_recording_that_is_gone_is_noticed_and_the_next_one_begins(
     place = tmp_path / "recordings"
     folder = Folder(place, "planar16")
     recorder = Recorder("planar16", folder, LIMITS)
-    recorder.receive_message(heard(1.0, "arm", told(arm)))
+    recorder.receive_message(heard(1.0, "arm", described(arm)))
     (gone,) = files(place)
     recorder.turn()
     assert files(place) == [gone]
@@ -212,7 +214,7 @@ def test_a_recording_that_is_gone_is_noticed_and_the_next_one_begins(
     assert f"{gone} was deleted or moved while it was written: the next recording begins" in caplog.text
     with pytest.raises(FileInUse):
         Folder(place, "planar16")
-    recorder.receive_message(heard(2.0, "state", state(arm, [0] * 16, 100.0)))
+    recorder.receive_message(heard(2.0, "state", state(arm, [0] * 16, stamp=100.0)))
     recorder.end_recording()
     (path,) = files(place)
     assert len(on(read(path), "state")) == 1
@@ -222,8 +224,8 @@ def test_a_recording_that_is_gone_is_noticed_and_the_next_one_begins(
 
 
 def test_what_the_arm_publishes_fits_its_schema(arm: Arm) -> None:
-    assert misfits(state(arm, [0] * 16, 1.0), TOPICS["state"]) == []
-    assert misfits(told(arm), TOPICS["arm"]) == []
+    assert misfits(state(arm, [0] * 16, stamp=1.0), TOPICS["state"]) == []
+    assert misfits(described(arm), TOPICS["arm"]) == []
     assert misfits({"stamp": "x"}, TOPICS["state"])
 
 

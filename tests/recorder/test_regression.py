@@ -18,7 +18,9 @@ from hyperbit.controller.recorder.recorder import Limits, Recorder
 from hyperbit.controller.recorder.regression import Compared, arm_file, compare, compared, simulated
 from hyperbit.controller.recorder.repair import BadRecording
 from tests.keys import DEPLOY
-from tests.recorder.samples import heard, planar, told
+from tests.recorder.samples import heard
+from tests.told import arm as planar
+from tests.told import described
 from tests.waiting import eventually
 
 GOAL = {"waypoints": [{"position": [0.5, 2.8]}]}
@@ -28,7 +30,7 @@ def recorded(folder: Path, fill: Callable[[Recorder], None], arm: dict[str, Any]
     began: list[Path] = []
     place = Folder(folder, "planar16")
     recorder = Recorder("planar16", place, Limits(10**9, 10**9), began=began.append)
-    recorder.receive_message(heard(0.0, "arm", arm or told(planar())))
+    recorder.receive_message(heard(0.0, "arm", arm or described(planar())))
     fill(recorder)
     recorder.end_recording()
     place.close()
@@ -47,7 +49,7 @@ def test_goals_of_a_recording_lead_to_the_same_configurations_again(tmp_path: Pa
     document = yaml.safe_load((DEPLOY / "planar16.yaml").read_text())
     file = tmp_path / "planar16.yaml"
     file.write_text(yaml.safe_dump({**document, "method": "ipop-previous"}))  # no search that time ends
-    empty = RecordingReader(recorded(tmp_path / "empty", lambda recorder: None, told(load(file))))
+    empty = RecordingReader(recorded(tmp_path / "empty", lambda recorder: None, described(load(file))))
     place, began = Folder(tmp_path / "lived", "planar16"), list[Path]()
     recorder = Recorder("planar16", place, Limits(10**9, 10**9), began=began.append)
     ending = threading.Event()
@@ -194,7 +196,7 @@ def test_the_history_is_read_in_the_order_of_requests(tmp_path: Path) -> None:
 
 
 def test_a_recorded_file_cannot_be_written_elsewhere(tmp_path: Path) -> None:
-    arm = told(planar())
+    arm = described(planar())
     arm["file"]["tables"] = {"../evil.csv": "x"}
     with pytest.raises(BadRecording, match=r"evil\.csv"):
         arm_file(RecordingReader(recorded(tmp_path / "a", lambda _: None, arm)), tmp_path)

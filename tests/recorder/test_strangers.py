@@ -11,9 +11,11 @@ from hyperbit.controller.network.listener import Listener
 from hyperbit.controller.recorder.folder import Folder
 from hyperbit.controller.recorder.recorder import Limits, Recorder
 from hyperbit.controller.recorder.schemas import FOXGLOVE, LOG, SCENE, TRANSFORMS
-from tests.recorder.samples import heard, planar, read, state, told
+from tests.recorder.samples import heard, read
 from tests.recorder.shapes import misfits
 from tests.strangers import intrude
+from tests.told import arm as planar
+from tests.told import described, state
 from tests.waiting import eventually
 
 
@@ -35,8 +37,8 @@ def test_the_arm_is_recorded_beside_a_stranger(tmp_path: Path) -> None:
 
         intrude(stranger, "hyperbit/planar16")
         eventually(recorded)
-    recorder.receive_message(heard(1e9, "arm", told(arm)))
-    recorder.receive_message(heard(1e9, "state", state(arm, [0] * 16, 7.0)))
+    recorder.receive_message(heard(1e9, "arm", described(arm)))
+    recorder.receive_message(heard(1e9, "state", state(arm, [0] * 16, stamp=7.0)))
     recorder.end_recording()
     (path,) = tmp_path.glob("*.mcap")
     topics: dict[str, list[object]] = {}

@@ -15,18 +15,19 @@ from pathlib import Path
 import zenoh
 
 from hyperbit.controller.network.stop_all import stop_all
+from tests import told
 from tests.benchmarks.harness import CommandLine, report, timed
 from tests.network.played import PlayedArm, Router
 
 SETTLED, MEASURED = 5.0, 8.0  # [s] before a measurement, and of it
-STATE = {"measured": [0] * 48, "commanded": [0] * 48, "tip": {"position": [0.55, 2.9], "orientation": 0.3}}
+STATE = told.state()
 TICKS = os.sysconf("SC_CLK_TCK")
 
 
 def publish(arms: list[PlayedArm], ending: threading.Event) -> None:
     while not ending.wait(0.05):
         for arm in arms:
-            arm.publish(**STATE)
+            arm.put("state", STATE)
 
 
 def load(endpoint: str) -> float:

@@ -15,7 +15,8 @@ from pathlib import Path
 from hyperbit.controller.panel.access.people import digest_of
 from tests.endpoints import free_endpoint, free_port
 from tests.forwarding import Forwarder
-from tests.panel.conftest import OPERATOR, PlayedDaemon
+from tests.network.played import listening
+from tests.panel.conftest import OPERATOR
 from tests.panel.test_connections import Visit
 from tests.panel.test_server import running
 from tests.waiting import PATIENCE, eventually
@@ -51,7 +52,7 @@ def main() -> None:
         folder = Path(closing.enter_context(tempfile.TemporaryDirectory()))
         people = folder / "people.yaml"
         people.write_text(f"people: [{{name: anna, role: operator, token: {digest_of(OPERATOR)}}}]\n")
-        closing.callback(PlayedDaemon(endpoint).close)
+        listening(closing, endpoint)
         proxy = Forwarder(port)
         closing.callback(proxy.close)
         public = f"http://127.0.0.1:{proxy.port}"

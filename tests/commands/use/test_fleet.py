@@ -41,7 +41,7 @@ class Plant:
     def _publish(self) -> None:
         while not self._ending.wait(0.05):
             for arm in self.arms:
-                arm.publish(faults=[{"code": "stuck", "message": "5.left", "source": "5.left"}])
+                arm.state(faults=[{"code": "stuck", "message": "5.left", "source": "5.left"}])
 
 
 @pytest.fixture
@@ -142,7 +142,7 @@ def test_an_old_state_is_told(arm, mode):
 def test_stop_all_names_each_arm(plant, hyperbit):
     code, out, err = hyperbit("stop", "--all", "--connect", plant.router.endpoint)
     assert (code, out, err) == (0, "a: stopped\ncell1/a: stopped\n", "")
-    assert [arm.requests.count("stop") for arm in plant.arms] == [1, 1]
+    assert [arm.commands().count("stop") for arm in plant.arms] == [1, 1]
     code, out, _ = hyperbit("stop", "--all", "--json", "--connect", plant.router.endpoint)
     assert code == 0
     assert [(arm["namespace"], arm["name"], arm["accepted"]) for arm in map(json.loads, out.splitlines())] == [
