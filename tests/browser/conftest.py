@@ -6,22 +6,19 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import pytest
-from PIL import Image
 
 from hyperbit.controller.panel.access.people import digest_of
-from tests import waiting
+from tests.browser.rig import OPERATOR, OTHER, PATIENCE, VIEWER, Shown, eventually
 from tests.endpoints import free_endpoint
 from tests.network.played import listening
 from tests.system.stack import arms
-
-T = TypeVar("T")
 
 # A panel that refuses no command for its age, however slow the browser is on this machine.
 PATIENT_PANEL = """
@@ -35,17 +32,10 @@ MISSING = shutil.which("chromium") is None or importlib.util.find_spec("selenium
 collect_ignore_glob = ["test_*.py"] if MISSING else []
 
 ROOT = Path(__file__).parents[2]
-OPERATOR, OTHER, VIEWER = "anna-token", "bert-token", "hall-token"
-PATIENCE = 180.0  # [s]; software draws the picture, on a machine that others use, too
-EVERY = 0.1  # [s] between two looks at the page, each of which takes the browser's time
 OPTIONS = (
     *("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader"),
     *("--enable-unsafe-swiftshader", "--lang=en", "--force-device-scale-factor=1"),
 )
-
-
-def eventually(what: Callable[[], T], told: Callable[[], str] = lambda: "") -> T:
-    return waiting.eventually(what, PATIENCE, told, EVERY)
 
 
 class World:
@@ -102,9 +92,10 @@ class Trouble:
         patient: whether the panel refuses no command for its age.
     """
 
-    def __init__(self, folder: Path, closing: ExitStack, *, patient: bool = True) -> None:
-        endpoint = free_endpoint()
-        self.daemon = listening(closing, endpoint)
+    def __init__(self, folder: Path, closing: ExitStack, endpoint: str = "", *, patient: bool = True) -> None:
+        if not endpoint:
+            endpoint = free_endpoint()
+            self.daemon = listening(closing, endpoint)
         people = folder / "people.yaml"
         listed = (("anna", "operator", OPERATOR), ("hall", "viewer", VIEWER))
         entries = [f"{{name: {name}, role: {role}, token: {digest_of(token)}}}" for name, role, token in listed]
@@ -164,110 +155,6 @@ def driver() -> Iterator[Any]:
     browser.quit()
 
 
-def acted(act: Callable[[], None]) -> bool:
-    """Acts on an element; returns whether it could: the page may draw it anew, hide it or cover it at that moment."""
-    from selenium.common import exceptions
-
-    passing = (
-        exceptions.StaleElementReferenceException,
-        exceptions.ElementNotInteractableException,
-        exceptions.ElementClickInterceptedException,
-    )
-    try:
-        act()
-    except passing:
-        return False
-    return True
-
-
-class Shown:
-    def __init__(self, driver: Any, url: str) -> None:
-        self.driver, self.url = driver, url
-
-    def visit(self, path: str, token: str, width: int = 1280, height: int = 860, *, dark: bool = False) -> None:
-        self.driver.get("about:blank")
-        phone = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
-        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
-        scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
-        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": scheme})
-        self.driver.execute_cdp_cmd("Network.clearBrowserCookies", {})
-        self.driver.get(f"{self.url}{path}#{token}")
-
-    def one(self, css: str) -> Any:
-        """The element of a CSS selector, once it is there."""
-        return eventually(lambda: self.all(css), lambda: css)[0]
-
-    def all(self, css: str) -> list[Any]:
-        found: list[Any] = self.driver.find_elements("css selector", css)
-        return found
-
-    def text(self, css: str) -> str:
-        """What an element says, hidden or not."""
-        return str(self.run("return document.querySelector(arguments[0])?.textContent ?? ''", css))
-
-    def run(self, script: str, *arguments: object) -> Any:
-        return self.driver.execute_script(script, *arguments)
-
-    def says(self, css: str, *words: str) -> str:
-        """Waits until an element says all words."""
-        told = lambda: f"{words}: {self.text(css)}; notice: {self.text('.notice')}"  # noqa: E731
-        eventually(lambda: all(word in self.text(css) for word in words), told)
-        return self.text(css)
-
-    def press(self, css: str) -> None:
-        def press() -> None:
-            eventually(lambda: self.one(css).is_enabled(), lambda: css)
-            self.run("arguments[0].scrollIntoView({block: 'center'})", self.one(css))
-            self.one(css).click()
-
-        eventually(lambda: acted(press))
-
-    def press_named(self, css: str, name: str) -> None:
-        """Clicks on the element of a CSS selector whose text begins with a name."""
-        script = (
-            "return [...document.querySelectorAll(arguments[0])].find((it) => it.textContent.startsWith(arguments[1]))"
-        )
-
-        def press() -> None:
-            eventually(lambda: self.run(script, css, name), lambda: name).click()
-
-        eventually(lambda: acted(press))
-
-    def type(self, css: str, text: str) -> None:
-        """Types a text into a field, in place of what it has."""
-        from selenium.webdriver.common.keys import Keys
-
-        def put() -> None:
-            field = self.one(css)
-            field.clear()
-            field.send_keys(text, Keys.TAB)
-
-        value = "return document.querySelector(arguments[0])?.value"
-        eventually(lambda: acted(put) and self.run(value, css) == text, lambda: css)
-
-    def hold(self, css: str, seconds: float = 1.5) -> None:
-        from selenium.webdriver import ActionChains
-
-        self.run("arguments[0].scrollIntoView({block: 'center'})", self.one(css))
-        ActionChains(self.driver).click_and_hold(self.one(css)).pause(seconds).release().perform()
-
-    def picture(self, name: str) -> None:
-        """Keeps a picture of what is shown, in the folder that PICTURES names, if it does."""
-        if folder := os.environ.get("PICTURES"):
-            (path := Path(folder) / name).parent.mkdir(parents=True, exist_ok=True)
-            Image.open(BytesIO(self.driver.get_screenshot_as_png())).convert("RGB").save(path, optimize=True)
-
-    def ready(self) -> None:
-        """Waits until the arm is shown and ready, after a stop or a fault of a test before, too."""
-        self.says("#reason", " ")
-        eventually(lambda: self.run("return document.querySelector('#mode')?.dataset.mode"))
-        if self.run("return document.querySelector('#mode').dataset.mode") in ("stopped", "fault"):
-            self.hold("#reset")
-        self.says("#mode", "ready")
-        self.one(".stage canvas")
-        eventually(lambda: self.run("return !document.body.classList.contains('old')"))
-
-
 @pytest.fixture
 def page(driver: Any, world: World) -> Iterator[Callable[..., Shown]]:
     """Opens a page of an arm, ready; at the end the browser must have found nothing wrong with it."""
@@ -284,3 +171,19 @@ def page(driver: Any, world: World) -> Iterator[Callable[..., Shown]]:
     yield visit
     wrong = [entry["message"] for entry in driver.get_log("browser") if entry["level"] == "SEVERE"]
     assert wrong == []
+
+
+@pytest.fixture
+def heard(trouble: Trouble) -> Iterator[None]:
+    """The daemon repeats its latest state, so that the arm is not silent."""
+    ended = threading.Event()
+
+    def repeat() -> None:
+        while not ended.wait(0.3):
+            trouble.daemon.repeat()
+
+    thread = threading.Thread(target=repeat)
+    thread.start()
+    yield
+    ended.set()
+    thread.join()

@@ -7,10 +7,10 @@ import pytest
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.keys import Keys
 
-from tests.browser.conftest import Shown, Trouble, World, eventually
-from tests.browser.test_states import enabled, heard, opened, told  # noqa: F401  # heard repeats the state
+from tests.browser.conftest import Trouble, World
+from tests.browser.rig import Shown, enabled, eventually, opened, told
 
-pytestmark = pytest.mark.timeout(600)
+pytestmark = [pytest.mark.timeout(600), pytest.mark.usefixtures("heard")]
 Page = Callable[..., Shown]
 
 VALUES = "return [...document.querySelectorAll('#goal .fields input')].slice(0, 2).map((it) => it.value)"

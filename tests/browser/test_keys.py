@@ -1,35 +1,30 @@
 """The page by keys, by a screen reader and by touch. axe looks at each state."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import pytest
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.keys import Keys
 
-from tests.browser.conftest import OPERATOR, VIEWER, Shown, Trouble, eventually
-from tests.browser.test_page import type_goal
-from tests.browser.test_states import COUNT, FAULT, heard, opened, planned, told  # noqa: F401  # heard repeats the state
+from tests.browser.conftest import Trouble
+from tests.browser.rig import (
+    COUNT,
+    FAULT,
+    OPERATOR,
+    VIEWER,
+    Shown,
+    eventually,
+    found,
+    opened,
+    planned,
+    told,
+    type_goal,
+)
 
-pytestmark = pytest.mark.timeout(600)
+pytestmark = [pytest.mark.timeout(600), pytest.mark.usefixtures("heard")]
 
-AXE = Path(__file__).parents[2] / ".venv/axe.min.js"  # from npm; make page-test gets it
-FIND = """
-const done = arguments[0];
-const said = ({ id, nodes }) => `${id}: ${nodes.map((node) => node.html).slice(0, 3)}`;
-axe.run(document, { resultTypes: ["violations"] })
-  .then(({ violations }) => done(violations.map(said)), (error) => done([String(error)]));
-"""
 LOCKED = [{"actuator": "1.left", "state": 1}]
-
-
-def found(shown: Shown) -> list[str]:
-    if not AXE.exists():
-        pytest.skip("axe is not installed: make page-test gets it from npm")
-    shown.run(AXE.read_text() + "; window.axe = axe;")
-    wrong: list[str] = shown.driver.execute_async_script(FIND)
-    return wrong
 
 
 @pytest.mark.parametrize(("width", "dark"), [(1280, False), (360, True)])

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from hyperbit.controller.panel.arms.heartbeats import LONGEST
-from tests.browser.conftest import OPERATOR, Shown, Trouble, eventually
+from tests.browser.conftest import Trouble
+from tests.browser.rig import OPERATOR, Shown, eventually
 
 pytestmark = pytest.mark.timeout(600)
 

@@ -2,9 +2,8 @@
 
 import pytest
 
-from tests.browser.conftest import OPERATOR, VIEWER, Shown, Trouble, eventually
-from tests.browser.test_page import type_goal
-from tests.browser.test_states import told
+from tests.browser.conftest import Trouble
+from tests.browser.rig import OPERATOR, VIEWER, Shown, eventually, told, type_goal
 
 pytestmark = pytest.mark.timeout(600)
 

@@ -8,29 +8,12 @@ import pytest
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.keys import Keys
 
-from tests.browser.conftest import OTHER, VIEWER, Shown, World, eventually
+from tests.browser.conftest import World
+from tests.browser.rig import DRAWN, MEASURED, OBSTACLE, OTHER, PLANNED, VIEWER, Shown, eventually, type_goal
 
 pytestmark = pytest.mark.timeout(600)
 
 Page = Callable[..., Shown]
-
-DRAWN = """
-const canvas = document.querySelector('.stage canvas');
-const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
-const [r, g, b] = arguments[0];
-let count = 0;
-for (let k = 0; k < data.length; k += 4) {
-  const away = Math.abs(data[k] - r) + Math.abs(data[k + 1] - g) + Math.abs(data[k + 2] - b);
-  if (away < 90 && data[k + 3] > 200) count += 1;
-}
-return count;
-"""
-MEASURED, PLANNED, OBSTACLE = [0, 114, 178], [0, 120, 90], [138, 75, 114]  # light colours of style.css
-
-
-def type_goal(shown: Shown, *numbers: float) -> None:
-    for k, number in enumerate(numbers, 1):
-        shown.type(f"#goal .fields label:nth-child({k}) input", f"{number:g}")
 
 
 def finished(shown: Shown) -> str:

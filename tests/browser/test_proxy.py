@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from hyperbit.controller.panel.access.people import digest_of
-from tests.browser.conftest import OPERATOR, Shown, eventually, started
+from tests.browser.conftest import started
+from tests.browser.rig import OPERATOR, Shown, eventually
 from tests.endpoints import free_endpoint, free_port
 from tests.forwarding import Forwarder, passed
 from tests.network.played import listening

@@ -11,7 +11,8 @@ from selenium.webdriver.common.keys import Keys
 
 from hyperbit.controller.network import session
 from hyperbit.controller.network.client import Client, Unanswered
-from tests.browser.conftest import OPERATOR, Shown, World, eventually
+from tests.browser.conftest import World
+from tests.browser.rig import OPERATOR, Shown, eventually
 from tests.endpoints import free_endpoint
 from tests.recorder.samples import read_unfinished
 

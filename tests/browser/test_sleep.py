@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.browser.conftest import OPERATOR, Shown, Trouble, eventually
+from tests.browser.conftest import Trouble
+from tests.browser.rig import OPERATOR, Shown, eventually
 
 pytestmark = pytest.mark.timeout(600)
 

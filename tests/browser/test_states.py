@@ -1,60 +1,24 @@
 """The page in a browser, with a fake daemon: unknown positions, and plans that are out of date."""
 
-import threading
-from collections.abc import Iterator
-from typing import Any
-
 import pytest
 
-from tests.browser.conftest import OPERATOR, Shown, Trouble, eventually
-from tests.browser.test_page import DRAWN, MEASURED, PLANNED, type_goal
+from tests.browser.conftest import Trouble
+from tests.browser.rig import (
+    COUNT,
+    DRAWN,
+    FAULT,
+    MEASURED,
+    PLANNED,
+    UNKNOWN,
+    enabled,
+    eventually,
+    opened,
+    planned,
+    told,
+    type_goal,
+)
 
-pytestmark = pytest.mark.timeout(600)
-
-UNKNOWN = [163, 25, 91]  # light colour of style.css
-COUNT = 48  # actuators
-FAULT: dict[str, Any] = {
-    "mode": "fault",
-    "reason": "can0/1 is silent",
-    "configuration": None,
-    "tip": None,
-    "commanded": None,
-}
-
-
-@pytest.fixture(autouse=True)
-def heard(trouble: Trouble) -> Iterator[None]:
-    """The daemon repeats its latest state, so that the arm is not silent."""
-    ended = threading.Event()
-
-    def repeat() -> None:
-        while not ended.wait(0.3):
-            trouble.daemon.repeat()
-
-    thread = threading.Thread(target=repeat)
-    thread.start()
-    yield
-    ended.set()
-    thread.join()
-
-
-def opened(trouble: Trouble, driver: object, **fields: Any) -> Shown:
-    shown = Shown(driver, trouble.url)
-    shown.visit("/arms/planar16", OPERATOR)
-    shown.one(".stage canvas")
-    told(trouble, shown, **fields)
-    return shown
-
-
-def told(trouble: Trouble, shown: Shown, **fields: Any) -> None:
-    """Publishes a state until the page shows it."""
-    reason = fields.get("reason", "holding")
-
-    def heard() -> bool:
-        trouble.daemon.state(**fields)
-        return shown.text("#reason") == reason
-
-    eventually(heard, lambda: shown.text("header"))
+pytestmark = [pytest.mark.timeout(600), pytest.mark.usefixtures("heard")]
 
 
 def test_in_a_fault_the_last_known_pose_is_drawn_and_the_unknown_is_marked(trouble: Trouble, driver: object) -> None:
@@ -80,19 +44,6 @@ def test_in_a_fault_the_last_known_pose_is_drawn_and_the_unknown_is_marked(troub
     told(trouble, shown, **{**FAULT, "mode": "unknown", "reason": "no executor"}, measured=[None] * COUNT)
     eventually(lambda: shown.run(DRAWN, UNKNOWN) > 200)
     assert len(shown.all(".cell.unknown")) == COUNT
-
-
-def planned(trouble: Trouble, driver: object) -> Shown:
-    trouble.daemon.gate.set()
-    shown = opened(trouble, driver, reason="planned")
-    type_goal(shown, 0.4, 2.9)
-    shown.says("#goal .plan", "switches")
-    eventually(lambda: enabled(shown))
-    return shown
-
-
-def enabled(shown: Shown) -> bool:
-    return bool(shown.one("#go").is_enabled())
 
 
 def test_a_goal_is_planned_anew_when_another_client_has_moved_the_arm(trouble: Trouble, driver: object) -> None:

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.browser.conftest import OPERATOR, Shown, Trouble, eventually
-from tests.browser.test_states import told
+from tests.browser.conftest import Trouble
+from tests.browser.rig import OPERATOR, Shown, eventually, told
 
 pytestmark = pytest.mark.timeout(600)
 

@@ -3,8 +3,8 @@
 import pytest
 from selenium.webdriver.common.keys import Keys
 
-from tests.browser.conftest import OPERATOR, VIEWER, Shown, Trouble, eventually
-from tests.browser.test_keys import found
+from tests.browser.conftest import Trouble
+from tests.browser.rig import OPERATOR, VIEWER, Shown, eventually, found
 
 pytestmark = pytest.mark.timeout(600)
 

@@ -23,7 +23,7 @@ import pytest
 from tests.endpoints import free_endpoint
 from tests.keys import DEPLOY
 from tests.network.played import PlayedArm, Router
-from tests.recorder.test_recording import written
+from tests.recorder.samples import written
 from tests.system.stack import arms
 from tests.waiting import PATIENCE, eventually
 

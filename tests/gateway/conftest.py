@@ -39,6 +39,8 @@ from tests.endpoints import free_endpoint
 from tests.waiting import PATIENCE, eventually
 
 ARM = "a"
+PREFIX = f"hyperbit/{ARM}"
+GOAL = b'{"id": "x", "waypoints": []}'
 FAR = Refusal(Reason.OUT_OF_REACH, where="waypoints[0].position", position="9, 9", turned="", nearest="4 is the limit")
 NO_ACTUATOR = Refusal(Reason.UNKNOWN_ACTUATOR, field="actuator", actuator="9.left", first="1.left", last="8.right")
 
@@ -158,6 +160,11 @@ class Gateway:
     def reached(self) -> None:
         """Waits until a new client's declarations have reached the server's session."""
         eventually(lambda: self.client().request("arm", timeout=PATIENCE))
+
+
+def asked(session: zenoh.Session, key: str, payload: bytes = GOAL) -> list[dict[str, Any]]:
+    replies = session.get(key, payload=payload, target=zenoh.QueryTarget.ALL, timeout=PATIENCE)
+    return [json.loads(reply.ok.payload.to_bytes()) for reply in replies if reply.ok is not None]
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Keys and wildcards: which requests reach the planner, and which get an answer."""
+"""Keys and wildcards: which requests reach the planner, and which get an answer; strangers; queries on `result`."""
 
 import json
 import os
@@ -9,21 +9,16 @@ import zenoh
 
 from hyperbit.controller.gateway.arrivals import Rate
 from hyperbit.controller.gateway.server import MOST_REFUSALS, MOST_UNANSWERED, content
+from hyperbit.controller.network.client import Client
 from hyperbit.controller.planning.core.events import refused
 from hyperbit.controller.planning.loop import MOST_SENDERS
-from tests.gateway.conftest import ARM, NO_ACTUATOR, Gateway
+from tests.gateway.conftest import ARM, GOAL, NO_ACTUATOR, PREFIX, Gateway, asked
+from tests.strangers import KEYS, PAYLOADS, intrude
 from tests.waiting import PATIENCE, eventually
 
 BLOCK = zenoh.CongestionControl.BLOCK
-PREFIX = f"hyperbit/{ARM}"
 NAMED_ONLY = ("goal", "jog", "reset", "degrade", "obstacles", "fault")
 EVERYWHERE = ("stop", "cancel")
-GOAL = b'{"id": "x", "waypoints": []}'
-
-
-def asked(session: zenoh.Session, key: str, payload: bytes = GOAL) -> list[dict[str, Any]]:
-    replies = session.get(key, payload=payload, target=zenoh.QueryTarget.ALL, timeout=PATIENCE)
-    return [json.loads(content(reply.ok.payload)) for reply in replies if reply.ok is not None]
 
 
 @pytest.mark.parametrize("key", [*NAMED_ONLY, *EVERYWHERE, "plan"])
@@ -262,3 +257,41 @@ def test_after_close_nobody_is_served_and_the_token_is_gone(gateway: Gateway) ->
 def test_after_the_end_no_setpoint_comes(gateway: Gateway) -> None:
     gateway.server.close()
     assert [list(receive()) for receive in gateway.planner.receive.values()] == [[], []]
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_no_message_takes_the_stop_away(gateway: Gateway, key: str) -> None:
+    stranger = gateway.other()
+    intrude(stranger, f"hyperbit/{ARM}", [key])
+    for payload in PAYLOADS:
+        asked(stranger, f"hyperbit/{ARM}/{key}", payload)  # type: ignore[arg-type]
+    client = gateway.client()
+    assert client.request("stop")["accepted"]
+    assert gateway.planner.keys()[-1] == "stop"
+    assert client.alive()
+
+
+ROW = {"ended": 1.9e9, "status": "aborted", "code": -4, "message": "stuck", "switches": 7}
+
+
+def result_of(client: Client, goal: object) -> tuple[object, object, object]:
+    """Whether a query was accepted, its reason, and the result that it brought."""
+    answer = client.request("result", {"id": goal})
+    return answer["accepted"], answer.get("reason"), answer.get("result")
+
+
+def test_a_goal_has_a_result_none_yet_or_is_unknown(gateway: Gateway) -> None:
+    gateway.rows |= {"old": ROW, "new": {**ROW, "ended": None, "status": None}}
+    client = gateway.client()
+    result = {"id": "old", "status": "aborted", "code": -4, "message": "stuck", "switches": 7}
+    assert result_of(client, "old") == (True, None, result)
+    assert result_of(client, "new") == (True, None, None)
+    assert result_of(client, "other") == (False, "unknown-goal", None)
+    gateway.readable = False
+    assert result_of(client, "old") == (False, "ledger-unreadable", None)
+
+
+def test_malformed_queries_are_refused(gateway: Gateway) -> None:
+    for goal in ("", 5, "x" * 200):
+        assert gateway.client().request("result", {"id": goal})["accepted"] is False
+    assert gateway.client().request("result")["accepted"] is False

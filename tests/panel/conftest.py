@@ -1,8 +1,11 @@
 """A panel on a real Zenoh session, with a played arm, and its logged-in clients."""
 
+import contextlib
 import json
+import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -19,6 +22,7 @@ from tests.clock import Clock
 from tests.commands.conftest import hyperbit  # noqa: F401
 from tests.endpoints import free_endpoint
 from tests.network.played import ARM, listening
+from tests.system.stack.processes import Process, commands
 from tests.waiting import eventually
 
 Message = dict[str, Any]
@@ -31,6 +35,34 @@ PEOPLE = (
     PersonEntry("hall", "viewer", digest_of(VIEWER)),
     PersonEntry("carl", "operator"),  # by certificate only
 )
+
+
+GOAL = {"waypoints": [{"position": [0.5, 2.9]}]}
+COMMANDS = [
+    ("stop", {}),
+    ("cancel", {}),
+    ("reset", {}),
+    ("take", {}),
+    ("jog", {"actuator": "5.left", "state": "extended"}),
+    ("lock", {"actuator": "5.left", "state": 0}),
+    ("obstacles", {"regions": []}),
+    ("pose", {"remove": "pick"}),
+    ("plan", {"goal": GOAL}),
+    ("go", {"goal": GOAL}),
+    ("file", {"text": "waypoints: []"}),
+]
+
+
+@contextlib.contextmanager
+def running(folder: Path, *words: str) -> Iterator[tuple[Process, list[str]]]:
+    """Runs the panel without a daemon; returns after it has printed its addresses."""
+    log = folder / "log"
+    process = commands().start(["panel", "--connect", free_endpoint(), *words], log, {"NOTIFY_SOCKET": ""})
+    try:
+        eventually(lambda: not process.alive or "hyperbit panel, " in log.read_text())
+        yield process, re.findall(r"https?://\S+", log.read_text())
+    finally:
+        process.end()
 
 
 class Opened:

@@ -15,8 +15,7 @@ from hyperbit.controller.panel.access.people import digest_of
 from tests.endpoints import free_endpoint, free_port
 from tests.forwarding import Forwarder
 from tests.network.played import ARM, listening
-from tests.panel.conftest import OPERATOR
-from tests.panel.test_server import running
+from tests.panel.conftest import OPERATOR, running
 from tests.waiting import PATIENCE, eventually
 
 IDLE = 520

@@ -6,8 +6,7 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.panel.arms.heartbeats import LONGEST
-from tests.panel.conftest import ARM, OTHER, Opened, Site
-from tests.panel.test_live import COMMANDS, GOAL
+from tests.panel.conftest import ARM, COMMANDS, GOAL, OTHER, Opened, Site
 from tests.waiting import eventually
 
 FREE = ("stop", "cancel", "take", "release", "plan", "file")

@@ -12,25 +12,10 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from hyperbit.controller.network.reach import Cause, NoSession
 from hyperbit.controller.panel.arm_page import RequestThreads
 from hyperbit.controller.panel.arms import arms
-from tests.panel.conftest import ARM, OPERATOR, OTHER, SOCKETS, VIEWER, Opened, Site
+from tests.panel.conftest import ARM, COMMANDS, GOAL, OPERATOR, OTHER, SOCKETS, VIEWER, Opened, Site
 from tests.waiting import PATIENCE, eventually
 
 PAGES_THAT_STOP = 24  # each asks over HTTP and over its WebSocket, again and again
-
-GOAL = {"waypoints": [{"position": [0.5, 2.9]}]}
-COMMANDS = [
-    ("stop", {}),
-    ("cancel", {}),
-    ("reset", {}),
-    ("take", {}),
-    ("jog", {"actuator": "5.left", "state": "extended"}),
-    ("lock", {"actuator": "5.left", "state": 0}),
-    ("obstacles", {"regions": []}),
-    ("pose", {"remove": "pick"}),
-    ("plan", {"goal": GOAL}),
-    ("go", {"goal": GOAL}),
-    ("file", {"text": "waypoints: []"}),
-]
 
 
 def test_a_page_shows_the_arm(site: Site) -> None:

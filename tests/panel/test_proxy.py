@@ -1,14 +1,16 @@
-"""The page behind a reverse proxy on the same computer, at the root and under a sub-path."""
+"""Addresses of the page, also behind a proxy, and the endpoint that `run` gives it."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 from starlette.testclient import TestClient
 
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.operate.run import reachable, run
 from hyperbit.controller.panel.access.access import Access
 from hyperbit.controller.panel.app import PanelServer
-from hyperbit.controller.panel.serve import parse_public_address
+from hyperbit.controller.panel.serve import parse_address, parse_public_address, serve, zenoh_configuration
 from tests.panel.conftest import ORIGIN, PEOPLE, VIEWER
 
 AT_ROOT, BELOW = "https://robot.local", "https://robot.local/hyperbit/"
@@ -64,3 +66,30 @@ def test_public_addresses_are_read_strictly() -> None:
             parse_public_address(text)
     assert parse_public_address("https://robot.local:443/a/b") == ("https://robot.local", "/a/b/")
     assert parse_public_address("http://[::1]:81") == ("http://[::1]:81", "/")
+
+
+@pytest.mark.parametrize("text", ["", "7480", ":7480", "localhost", "localhost:x", "localhost:70000", "a:²"])
+def test_addresses_are_read_strictly(text: str) -> None:
+    with pytest.raises(InputFaults, match="HOST:PORT"):
+        parse_address(text)
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "[::]", "192.168.1.2", "robot.local"])
+def test_other_computers_need_tls(host: str) -> None:
+    address = parse_address(f"{host}:7480")
+    assert not address.local
+    with pytest.raises(InputFaults, match="TLS is needed"):
+        serve(address, None, None, zenoh_configuration(["tcp/127.0.0.1:1"], None), "hyperbit")
+
+
+def test_addresses_of_this_computer() -> None:
+    for text in ("127.0.0.1:1", "localhost:2", "[::1]:3", "127.1.2.3:4"):
+        assert parse_address(text).local
+    assert parse_address("[::1]:3").written(3, secure=True) == "https://[::1]:3/"
+
+
+def test_run_gives_the_page_its_endpoint(tmp_path: Path) -> None:
+    assert reachable("tcp/0.0.0.0:7447") == reachable("tcp/[::]:7447") == "tcp/127.0.0.1:7447"
+    assert reachable("tcp/192.168.1.2:7448") == "tcp/192.168.1.2:7448"
+    with pytest.raises(InputFaults, match="start the page separately"):
+        run(tmp_path / "arm.yaml", zenoh_file=tmp_path / "zenoh.json5", panel=7480)

@@ -3,11 +3,10 @@
 import contextlib
 import json
 import re
+import signal
 import socket
 import ssl
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import httpx2
@@ -16,27 +15,11 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from hyperbit.controller.panel.access.people import digest_of
-from tests.endpoints import free_endpoint
 from tests.keys import certificates, made
+from tests.panel.conftest import running
 from tests.waiting import PATIENCE, eventually
 
 Hyperbit = Callable[..., tuple[int, str, str]]
-
-
-@contextlib.contextmanager
-def running(folder: Path, *words: str) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
-    """Runs the panel without a daemon; returns after it has printed its addresses."""
-    endpoint = free_endpoint()
-    command = [sys.executable, "-m", "hyperbit", "panel", "--connect", endpoint, *words]
-    log = folder / "log"
-    with log.open("w") as out:
-        process = subprocess.Popen(command, stdout=out, stderr=out, text=True)
-    try:
-        eventually(lambda: "hyperbit panel, " in log.read_text() or process.poll() is not None)
-        yield process, re.findall(r"https?://\S+", log.read_text())
-    finally:
-        process.terminate()
-        process.wait(PATIENCE)
 
 
 def test_without_people_each_start_has_its_tokens(tmp_path: Path) -> None:
@@ -45,8 +28,8 @@ def test_without_people_each_start_has_its_tokens(tmp_path: Path) -> None:
             url, token = address.split("#")
             answer = httpx2.post(f"{url}session", json={"token": token}, headers={"origin": url.rstrip("/")})
             assert answer.json()["role"] == role
-        process.terminate()
-        assert process.wait(PATIENCE) == 0
+        process.send(signal.SIGTERM)
+        assert process.code == 0
     assert "Traceback" not in (tmp_path / "log").read_text()
 
 

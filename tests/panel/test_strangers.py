@@ -1,7 +1,8 @@
-"""What a stranger sends on an arm's keys takes nothing from a page."""
+"""What a stranger sends on an arm's keys takes nothing from a page; malformed messages harm their own section only."""
 
 import json
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 import zenoh
@@ -58,3 +59,41 @@ def test_a_stranger_who_answers_takes_no_stop(site: Site, stranger: zenoh.Sessio
     page.until("state", lambda told: told["reason"] == "still heard")
     assert page.ask("stop")["accepted"]
     assert page.until("presence")["alive"]
+
+
+MALFORMED: list[dict[str, Any]] = [
+    {"loop": [1], "buses": 3, "counts": {"a": 1}},
+    {"boards": [[]], "loop": {"late_worst": "x"}},
+]
+
+
+@pytest.mark.parametrize("message", MALFORMED)
+def test_malformed_diagnostics_are_not_shown(site: Site, message: dict[str, Any]) -> None:
+    page = site.open()
+    site.daemon.put("diagnostics", message)
+    site.daemon.put("diagnostics", {"switches": 7})
+    assert page.until("diagnostics")["switches"] == 7
+    site.daemon.state()
+    assert page.until("state")["mode"] == "ready"
+
+
+def test_a_message_spoofs_no_other_section(site: Site) -> None:
+    page = site.open()
+    site.daemon.put("diagnostics", {"section": "state", "mode": "ready SPOOFED"})
+    page.until("diagnostics", lambda told: "mode" in told)
+    site.daemon.state()
+    assert page.until("state")["mode"] == "ready"
+
+
+@pytest.mark.parametrize("faults", [3, [1], [{"code": "stuck"}], {"a": 1}])
+def test_a_malformed_state_counts_as_not_heard(site: Site, faults: Any) -> None:
+    page = site.open()
+    site.daemon.state()
+    page.until("state")
+    view = site.panel.arms.views["planar16"]
+    site.daemon.state(mode="stopped", faults=faults)
+    page.until("presence", lambda told: told["age"] is not None and told["age"] > 1.0)
+    assert view.state is not None
+    assert view.state["mode"] == "ready"
+    site.daemon.state(mode="executing")
+    page.until("state", lambda told: told["mode"] == "executing")

@@ -10,6 +10,7 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap.stream_reader import StreamReader
 
 from hyperbit.controller.network.listener import ReceivedMessage
+from hyperbit.controller.recorder.recording import Recording
 
 SECOND = 1_000_000_000  # [ns]
 
@@ -63,6 +64,24 @@ def recovered_by_another(data: bytes) -> list[Read]:
 def names(path: Path) -> list[str]:
     with path.open("rb") as stream:
         return [type(record).__name__ for record in StreamReader(stream).records]
+
+
+TOPIC = "hyperbit/a/state"
+
+
+def written(path: Path, count: int = 100, every: float = 0.05) -> Recording:
+    """A recording with messages, the first at 1000 s, not completed."""
+    recording = Recording(path)
+    recording.add_metadata("hyperbit", {"arm": "a"})
+    recording.attach("a.yaml", "application/yaml", b"name: a", 0)
+    for k in range(count):
+        at = round((1000 + k * every) * SECOND)
+        recording.write(TOPIC, "state", json.dumps({"k": k, "stamp": 1.5}).encode(), at, 1)
+    return recording
+
+
+def numbers(messages: list) -> list[int]:
+    return [message.data["k"] for message in messages]
 
 
 def heard(at: float, key: str, message: Any) -> ReceivedMessage:

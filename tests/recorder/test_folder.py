@@ -8,8 +8,7 @@ import pytest
 from hyperbit.controller.host.keeper import FileInUse
 from hyperbit.controller.recorder.folder import CAN_LOG, Folder
 from hyperbit.controller.recorder.repair import unfinished
-from tests.recorder.samples import read
-from tests.recorder.test_recording import numbers, written
+from tests.recorder.samples import numbers, read, written
 
 
 def test_names_tell_arm_and_time_and_never_meet(tmp_path: Path) -> None:

@@ -8,8 +8,7 @@ from mcap.writer import Writer
 from hyperbit.controller.recorder.reader import RecordingReader
 from hyperbit.controller.recorder.recording import Recording
 from hyperbit.controller.recorder.repair import BadRecording
-from tests.recorder.samples import SECOND
-from tests.recorder.test_recording import written
+from tests.recorder.samples import SECOND, written
 
 
 def refusal(path: Path) -> str:

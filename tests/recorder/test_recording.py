@@ -10,24 +10,17 @@ import pytest
 from hyperbit.controller.host.files import MOST_ASIDE
 from hyperbit.controller.recorder.recording import LogClock, Recording
 from hyperbit.controller.recorder.repair import repair, unfinished
-from tests.recorder.samples import SECOND, names, read, read_by_another, read_unfinished, recovered_by_another
-
-TOPIC = "hyperbit/a/state"
-
-
-def written(path: Path, count: int = 100, every: float = 0.05) -> Recording:
-    """A recording with messages, the first at 1000 s, not completed."""
-    recording = Recording(path)
-    recording.add_metadata("hyperbit", {"arm": "a"})
-    recording.attach("a.yaml", "application/yaml", b"name: a", 0)
-    for k in range(count):
-        at = round((1000 + k * every) * SECOND)
-        recording.write(TOPIC, "state", json.dumps({"k": k, "stamp": 1.5}).encode(), at, 1)
-    return recording
-
-
-def numbers(messages: list) -> list[int]:
-    return [message.data["k"] for message in messages]
+from tests.recorder.samples import (
+    SECOND,
+    TOPIC,
+    names,
+    numbers,
+    read,
+    read_by_another,
+    read_unfinished,
+    recovered_by_another,
+    written,
+)
 
 
 def test_two_readers_read_a_complete_file(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import yaml
 
 from tests.commands.conftest import Told
 from tests.keys import DEPLOY
-from tests.recorder.test_recording import written
+from tests.recorder.samples import written
 
 
 @pytest.fixture

@@ -34,6 +34,7 @@ NEEDED = {
         "hyperbit.controller.executor.__main__",
         "hyperbit.controller.commands.operate.run",
         "hyperbit.controller.gateway.daemon",
+        "hyperbit.controller.panel.serve",
         "hyperbit.controller.ros2.bridge",
         "filterpy.kalman",
     ),
