@@ -5,7 +5,7 @@ import pytest
 from tests.browser.conftest import Trouble
 from tests.browser.rig import OPERATOR, VIEWER, Shown, eventually, told, type_goal
 
-pytestmark = pytest.mark.timeout(600)
+pytestmark = [pytest.mark.timeout(600), pytest.mark.usefixtures("heard")]
 
 BOX = "return document.querySelector(arguments[0]).getBoundingClientRect().toJSON()"
 LEAST_TOUCHED = 32.0  # pixels

@@ -147,5 +147,4 @@ def test_an_executor_that_runs_already_survives_the_planner(place: Place) -> Non
         with pytest.raises(Unanswered):
             client.request("stop", timeout=1.0)
     assert executor.alive
-    executor.send(signal.SIGTERM)
-    assert executor.code == 0
+    executor.end()

@@ -72,6 +72,7 @@ class Nursery:
             if not self._ready:
                 assert self._read() == "ready\n"
                 self._ready = True
+            log.touch()
             assert self._process.stdin
             self._process.stdin.write(json.dumps([arguments, str(log), environment]) + "\n")
             self._process.stdin.flush()
