@@ -57,7 +57,7 @@ def test_the_page_works_below_a_sub_path(shown: Shown) -> None:
     shown.says("#control", "You are anna, operator")
     shown.one(".stage canvas")
     shown.one("#stop").click()
-    shown.says(".notice", "Stop: done")
+    shown.says(".notice", "Stop: stopped")
     origins = shown.run("return performance.getEntriesByType('resource').map((entry) => new URL(entry.name).pathname)")
     assert all(path.startswith(f"{PREFIX}/") for path in origins)
     shown.press(".home")

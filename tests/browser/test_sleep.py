@@ -56,7 +56,7 @@ def test_the_page_connects_again_after_a_sleep(trouble: Trouble, shown: Shown, e
     eventually(heard, lambda: shown.text("#silence"))
     assert shown.run("return window.opened.length === 2 && window.dead.readyState >= WebSocket.CLOSING")
     shown.one("#stop").click()
-    shown.says(".notice", "Stop: done")
+    shown.says(".notice", "Stop: stopped")
 
 
 @pytest.mark.parametrize("shown", [""], indirect=True)

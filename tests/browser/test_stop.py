@@ -48,7 +48,7 @@ def test_a_stop_that_nobody_confirms_is_told_until_it_is(trouble: Trouble, shown
     assert "stop" not in trouble.daemon.commands()
     shown.run("window.holding = false; for (const go of window.waiting) go()")
     eventually(lambda: "stop" in trouble.daemon.commands())
-    shown.says(".notice", "Stop", "planar16" if path == "/" else "done")
+    shown.says(".notice", "Stop", "planar16" if path == "/" else "stopped")
     eventually(lambda: not shown.one(".unconfirmed").is_displayed())
     assert "Stopping" not in shown.text(css)
 

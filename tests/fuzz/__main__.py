@@ -21,6 +21,7 @@ from hypothesis import HealthCheck, given, settings
 
 from tests.fuzz.executor import Attack, lives
 from tests.fuzz.readers import READERS, built, mutation
+from tests.ros2.world.account import Wrong
 
 PATIENCE = 5.0  # [s] of processor time for one input
 WARM, LEAK = 0.2, 0.01  # share of the inputs before memory is looked at, and by which it may grow afterwards
@@ -44,7 +45,7 @@ def read(name: str, inputs: int) -> tuple[str, float, float, Counter[str]]:
         signal.setitimer(signal.ITIMER_VIRTUAL, PATIENCE)
         try:
             take(key, data)
-        except Exception as error:
+        except (Exception, Wrong) as error:
             place = traceback.extract_tb(error.__traceback__)[-1]
             kind = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}"
             if not wrong[kind]:

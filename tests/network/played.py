@@ -48,9 +48,9 @@ class PlayedArm:
     """
 
     def __init__(self, stack: ExitStack, config: zenoh.Config, name: str = "a", prefix: str = "hyperbit") -> None:
-        self.told = told.described(name=name)
+        self.told = told.described(name=name, version="9.9", daemon={"host": "here", "pid": 1})
         self.asked: list[tuple[str, dict[str, Any]]] = []
-        self.answer: dict[str, Any] | None = {"accepted": True, "code": 0, "message": "done"}
+        self.answer: dict[str, Any] | None = {"accepted": True, "code": 0, "message": "stopped"}
         self.planned: dict[str, Any] = {}
         self.homing: list[str] = []
         self.gate = threading.Event()

@@ -15,7 +15,6 @@ from hyperbit.controller.network import fleet as fleets
 from hyperbit.controller.network import session
 from hyperbit.controller.network.fleet import LIST_TIMEOUT, ArmAddress, ArmStatus, Fleet, address_of, alive
 from hyperbit.controller.network.stop_all import stop_all
-from tests import told
 from tests.endpoints import free_endpoint
 from tests.network.played import PlayedArm, Router
 from tests.strangers import intrude
@@ -86,14 +85,14 @@ def test_equal_names_in_several_namespaces_are_all_found(stack: ExitStack, route
         arm.state(goal=str(address))
     found = awaited(fleet, lambda found: all(arm.state for arm in found.values()))
     assert [(arm.state or {})["goal"] for arm in found.values()] == [str(address) for address in arms]
-    assert {(arm.host, arm.version) for arm in found.values()} == {("robot", told.described()["version"])}
+    assert {(arm.host, arm.version) for arm in found.values()} == {("here", "9.9")}
 
 
 def test_an_arm_that_ends_is_gone_and_comes_back_as_one_row(stack: ExitStack, router: Router, fleet: Fleet) -> None:
     PlayedArm(stack, router.client("cell1"))
     for _ in range(2):
         arm = PlayedArm(stack, router.client())
-        awaited(fleet, lambda arms: living(arms) == {HERE, THERE} and arms[HERE].host == "robot")
+        awaited(fleet, lambda arms: living(arms) == {HERE, THERE} and arms[HERE].host == "here")
         arm.end()
         gone = awaited(fleet, lambda arms: living(arms) == {THERE})
         assert gone.keys() == {HERE, THERE}
@@ -166,7 +165,7 @@ def test_a_stranger_takes_no_arm_from_the_list_and_no_stop(
     for prefix in (HERE.prefix, "hyperbit/x"):
         intrude(stranger, prefix)
     awaited(fleet, lambda found: living(found) == {HERE})
-    assert stop_all(viewer, timeout=PATIENCE).answers[HERE]["message"] == "done"
+    assert stop_all(viewer, timeout=PATIENCE).answers[HERE]["message"] == "stopped"
     assert "stop" in arm.commands()
     queryable.undeclare()  # type: ignore[no-untyped-call]
 

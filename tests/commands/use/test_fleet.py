@@ -41,7 +41,7 @@ class Plant:
     def _publish(self) -> None:
         while not self._ending.wait(0.05):
             for arm in self.arms:
-                arm.state(faults=[{"code": "stuck", "message": "5.left", "source": "5.left"}])
+                arm.state(simulated=True, faults=[{"code": "stuck", "message": "5.left", "source": "5.left"}])
 
 
 @pytest.fixture
