@@ -158,7 +158,6 @@ class World:
         self.agenda.step()
         self.record.doubt(self.intended)
         self.account.steps()
-        self.judge.pulses.watch(self.agenda.now, self.reaches)
 
     def _let_strangers_stop(self, may: bool) -> None:
         if self.strangers is not None:

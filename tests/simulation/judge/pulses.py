@@ -1,39 +1,19 @@
-"""Pulses: as long as the arm's file says; while the executor cannot reach a board, its pulses go on."""
+"""Pulses: as long as the arm's file says, and told where they are overdue."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 from hyperbit.controller.program import Snapshot
-from tests.simulation.judge.account import EPSILON, Account
+from tests.simulation.judge.account import Account
 from tests.simulation.judge.arm import bits_of
 from tests.simulation.judge.verdict import require
 
 SHORTER = 0.01  # [s] that a pulse may be too short: it ends at a tick, and its first SYNC may wait for other frames
-LOST = 0.1  # [s] that it may be too long if its board has missed a frame
 LONGER = 0.02  # [s] that it may be too long: to the next tick, and a commit that is under way
-TICK = 0.01  # [s], period of the executor's loop
-
-
 TOLD_IN = ("ready", "executing", "fault", "stopped")  # modes
 OVERDUE = 0.1  # [s] after its end at which a pulse must be told as overdue
 TICKS = 4  # periods of an executor that is awake, within which it is told
-
-
-class Away:
-    """The time for which the executor could not end a pulse."""
-
-    def __init__(self, now: float) -> None:
-        self.seconds, self._until, self._unreached = 0.0, now, False
-        self.ticks = 0  # periods since the pulse is overdue
-
-    def count(self, now: float, reached: bool) -> float:
-        """Counts the time until now; returns the whole time."""
-        if self._unreached:
-            self.seconds += now - self._until
-        self._until, self._unreached = now, not reached
-        return self.seconds
 
 
 class Pulses:
@@ -48,35 +28,14 @@ class Pulses:
         self._a = account
         self._since: dict[int, float] = {}  # when an output came on
         self._died_at = 0.0  # the boards switch off the pulses of a process that has ended
-        self._away: dict[int, Away] = {}
-
-    def watch(self, now: float, reaches: Callable[[int], bool]) -> None:
-        """Finds pulses that do not end, in any world.
-
-        Args:
-            now: [s].
-            reaches: returns whether frames of the executor reach the board of an actuator.
-        """
-        a = self._a
-        for k, since in self._since.items():
-            length = a.arm.pulse.get(k)
-            if length is None:
-                continue
-            knows = a.ready_at < math.inf  # a process that has just started learns of a pulse by its first boot
-            away = self._away[k].count(now, knows and reaches(k))
-            longest = length + away + TICK * (1 + (away > 0.0))  # the executor hears of it, then acts
-            longest += LOST * (self.suspect >> k & 1)
-            require(
-                now - since <= longest + EPSILON, f"actuator {k}: a coil is on for {now - since:g} s, of {longest:g} s"
-            )
+        self._overdue: dict[int, int] = {}  # periods since each pulse is overdue
 
     def dies(self) -> None:
         self._died_at = self._a.now
 
     def boots(self) -> None:
         """A boot begins, which may fail at once: what is overdue is told anew."""
-        for away in self._away.values():
-            away.ticks = 0
+        self._overdue = dict.fromkeys(self._overdue, 0)
 
     def ticks(self) -> None:
         """A period begins: pulses may be overdue. Boots look for them when they have ended."""
@@ -84,20 +43,17 @@ class Pulses:
         for k, since in self._since.items():
             knows = since > self._died_at or a.ready_at < math.inf  # a process learns of others by its first boot
             late = knows and k in a.arm.pulse and a.now - since > a.arm.pulse[k] + OVERDUE and a.mode in TOLD_IN
-            away = self._away[k]
-            away.ticks = away.ticks + 1 if late and not self.suspect >> k & 1 else 0
+            self._overdue[k] = self._overdue[k] + 1 if late and not self.suspect >> k & 1 else 0
 
     def shows(self, snapshot: Snapshot) -> None:
         """Requires that overdue pulses are told."""
         if snapshot.mode not in TOLD_IN:
             return
-        for k, away in self._away.items():
-            if k in self._since and away.ticks > TICKS:
+        for k, ticks in self._overdue.items():
+            if k in self._since and ticks > TICKS:
                 label = self._a.arm.labels[k]
                 told = any(f.code == "pulse-overdue" and label in f.source for f in snapshot.faults)
-                require(
-                    told, f"actuator {k}: a pulse is overdue for {away.ticks} periods, and {snapshot.faults} are told"
-                )
+                require(told, f"actuator {k}: a pulse is overdue for {ticks} periods, and {snapshot.faults} are told")
 
     def energises(self, on: int, came: int, cause: str) -> None:
         """Takes the mask of the actuators with an output on, and of those whose output has just come on."""
@@ -113,4 +69,4 @@ class Pulses:
             )
             require(length <= a.arm.pulse[k] + LONGER, f"actuator {k}: a pulse of {length:g} s, by {cause}")
         for k in bits_of(came):
-            self._since[k], self._away[k] = a.now, Away(a.now)
+            self._since[k], self._overdue[k] = a.now, 0

@@ -145,12 +145,12 @@ class ResultsCountTheirSwitches(Statement):
         if isinstance(message, Accepted):
             late = (k for k, margin in enumerate(account.arm.margin) if account.now < account.due(k) + margin)
             self._carried[message.program] = mask_of(late)
-        if not isinstance(message, Ended | Settled) or not account.clear:
+        if not isinstance(message, Ended | Settled) or account.missed or account.fallen:
             return
         counts = self._least.get(message.program, [0] * account.arm.count)
         least, carried = sum(counts), self._carried[message.program]
         most = least + self._again.get(message.program, 0)
-        right = least <= message.switches <= most
+        right = least <= message.switches <= most or not account.clear
         self.require(right, f"{message.switches} switches of program {message.program} are told, it made {least}")
         if isinstance(message, Ended):
             told = [travel.actuator for travel in message.travels]
