@@ -26,6 +26,8 @@ ANSWERED = 0.1  # [s] until a reset is answered
 HOMED = 0.7  # share of the faults before which a program homes the arm
 OWED = 4.2  # [s] for which lost answers may still come, and reads take so long that pulses may be over before
 RESTARTED = 15.0  # [s] until an executor that was ended has contracted the arm, and the next one is ready
+LIVE = frozenset({0x1001, 0x1002, 0x1003, 0x6000})  # objects that a board changes by itself
+Values = dict[tuple[int, int], int]
 STANDING = frozenset({"board-limits", "outputs-off", "degraded", "unknown-position"})
 WARNINGS = STANDING | {"bus-passive", "journal"}
 
@@ -194,8 +196,14 @@ class SingleFaults:
         """Kills the executor, leaves something on a board, and judges the next boot."""
         world, told, planner = self._world, fault.told, self.planner
         assert told is not None
-        instance = world.executor.instances
-        world.executor.at_next_start(lambda: (fault.begin(), world.boards.see("fault")))
+        instance, found = world.executor.instances, dict[str, Values]()
+
+        def begin() -> None:
+            fault.begin()
+            world.boards.see("fault")
+            found.update(self._values())
+
+        world.executor.at_next_start(begin)
         world.executor.kill()
         world.wait(lambda: world.executor.instances > instance, "started again", RESTARTED)
         if told.codes:
@@ -212,8 +220,23 @@ class SingleFaults:
             world.let_be_found(board)
         planner.patient = told.clears or not told.codes
         world.wait(world.settled, f"ready after {name}", world.ready_within)
-        for board in world.boards.simulated.names:
+        for board, values in self._values().items():
             world.objects.judge(board)
+            if not told.codes:
+                world.objects.judge_kept(board, found[board], values)
+
+    def _values(self) -> dict[str, Values]:
+        """Returns the objects of each board that it does not change by itself."""
+        boards = {name: self._world.boards.simulated.board(name).objects for name in self._world.boards.names}
+        return {
+            name: {
+                (index, sub): int.from_bytes(objects.value(index, sub), "little")
+                for index, entries in objects.described.items()
+                for sub in entries
+                if index not in LIVE
+            }
+            for name, objects in boards.items()
+        }
 
     # --- drills
 

@@ -8,9 +8,7 @@ from random import Random
 
 from hyperbit.controller.executor.arm.kinds import Kinds
 from hyperbit.controller.program import unpack
-from hyperbit.drivers.canopen.wire import cia301
-from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, State
-from hyperbit.drivers.canopen.wire.events import Event
+from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.board_side import BoardSide
 from tests.simulation.buses.bus_model import BusModel, OnItsWay
@@ -20,8 +18,6 @@ from tests.simulation.executor.arms import draw_arm, draw_boards
 from tests.simulation.executor.habits import Habits
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.executor.strangers import Strangers
-from tests.simulation.faults.fault import Fault, Switch, Told
-from tests.simulation.faults.motion import ASKED
 from tests.simulation.faults.processes import STILL
 from tests.simulation.faults.sight import Sight
 from tests.simulation.faults.trouble import Trouble
@@ -36,6 +32,7 @@ from tests.simulation.statements.account import Account
 from tests.simulation.statements.daemon import statements_of_clients
 from tests.simulation.statements.executor import every_statement
 from tests.simulation.statements.objects import BoardObjects
+from tests.simulation.struck import StruckWorld
 from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.one_fault import one_fault
 from tests.simulation.whole.planned_arms import draw_planned_arm
@@ -50,13 +47,10 @@ PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all t
 ECHO_LOST = 0.05  # [s] after which the executor knows that an echo was lost
 
 
-class World:
+class World(StruckWorld):
     """One arm, its executor, its boards and its clients.
 
     Attributes:
-        kinds: outputs and end-stops of the actuators.
-        planner: the scripted planner, or the daemon.
-        daemon: the whole daemon but its executor; None in a world with a scripted planner.
         let_go: mask of the actuators with two outputs that their boards contract without the executor.
 
     Args:
@@ -237,9 +231,6 @@ class World:
         board = self.boards.simulated.board(name)
         return Look(board.objects.number, board.objects.has, lambda: board.state)
 
-    def tell(self, event: Event) -> None:
-        self.executor.post(event)
-
     def _to_boards(self, bus: str, sent: OnItsWay, lost: bool) -> None:
         self.boards.hear(bus, sent, lost)
 
@@ -255,76 +246,6 @@ class World:
         self.executor.recover()
         if self.daemon is not None:
             self.daemon.mend()
-
-    # --- what faults need
-
-    def order(self, name: str, command: int) -> None:
-        """Another program commands a board, unheard by the executor."""
-        bus, node = name.split("/")
-        self.boards.hear_tool(bus, Frame(cia301.NMT, bytes([command, int(node)])))
-
-    def let_be_found(self, name: str) -> None:
-        """Takes a board out of state stopped that does not tell this state: it answers no SDO."""
-        board = self.boards.simulated.board(name)
-        if board.state is State.STOPPED and not board.objects.has(0x100C) and not board.objects.number(0x1017):
-            self.order(name, Command.PRE_OPERATIONAL)
-
-    def stall(self, seconds: float) -> None:
-        self.executor.stall(seconds)
-
-    def kill(self, dead: float) -> None:
-        self.executor.kill()
-
-    def moves(self) -> bool:
-        """Whether the arm may be switched, boots, or is otherwise not at rest."""
-        return not self.settled()
-
-    def ignored(self, bus: str) -> int:
-        return 0  # only worlds of boards judge it
-
-    def may_switch(self, k: int) -> bool:
-        """Whether an actuator can be switched by a program of the scripted planner."""
-        scripted = isinstance(self.planner, ScriptedPlanner) and self.planner.snapshot is not None
-        return scripted and not (self.account.locked >> k & 1 or self.account.homing)
-
-    def ask_again(self, k: int) -> None:
-        if self.may_switch(k):
-            self.planner.ask_to_switch(k)
-
-    def ask_to_reset(self) -> None:
-        """Asks for a reset, as an operator does who does not see that a door is open."""
-        if self.daemon is not None:
-            self.daemon.clients.ask("reset")
-        elif self.planner.snapshot is not None and self.planner.connection.client is not None:
-            self.planner.ask_to_reset()
-
-    def switch_on(self, name: str) -> Switch | None:
-        """Returns a command that switches an output of a board that is read back, without a pulse."""
-        channels, arm = self.wiring.channels, self.account.arm
-        here = [k for k, c in enumerate(channels) if f"{c.bus}/{c.node}" == name and c.pulse is None]
-        fit = [k for k in here if self.may_switch(k) and not arm.forgone >> k & 1]
-        if not fit or any(not node.verify for node in self.wiring.nodes if f"{node.bus}/{node.node}" == name):
-            return None
-        k = self._random.choice(fit)
-        late = max(self.kinds.travel[k]) + self.kinds.margin[k] + self.arm.rest + ASKED
-        also = ("stuck", "unexpected-motion") if arm.sensed >> k & 1 else ()
-        place = self.objects.base(name), channels[k].output // 8 + 1
-        return Switch(lambda: self.planner.ask_to_switch(k), place, late, channels[k].actuator, also)
-
-    def flip_of(self, name: str) -> Fault | None:
-        """Returns a motion of an actuator whose end-stop is on a board."""
-        channels, arm, boards = self.wiring.channels, self.account.arm, self.boards
-        here = [k for k, c in enumerate(channels) if f"{c.bus}/{c.node}" == name and arm.sensed >> k & 1]
-        if not here:
-            return None
-        k = self._random.choice(here)
-        label, end = channels[k].actuator, 1 - (boards.positions() >> k & 1)
-        travel = self.kinds.travel[k][end]
-        told = Told(("unexpected-motion",), (label,), (), travel + ASKED, least=travel)
-        return Fault(lambda: boards.fault("stick", label, end), lambda: boards.fault("release", label), told)
-
-    def reads_outputs(self, name: str) -> bool:
-        return False  # the journal would count what another program has written
 
     def reaches(self, actuator: int) -> bool:
         """Returns whether frames of the executor reach the board of an actuator, and take effect there."""

@@ -66,6 +66,8 @@ def _entries(at: Place) -> Iterator[tuple[int, int, int]]:
             continue
         if 0x1400 <= index < 0x1C00 and not variant.synchronous:
             continue  # it takes no such value back after a refusal
+        if index in (0x6206, 0x6207) and at.judged.pairs:
+            continue  # a coil might come on at once, in the error state
         if index == 0x6207:
             value &= at.judged.used >> 8 * (sub - 1) & 0xFF  # START would switch off what is not used
             if not value:
