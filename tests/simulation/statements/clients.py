@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from hyperbit.controller.program import Setpoint
+from hyperbit.controller.executor.core.events import Event, FromClient
+from hyperbit.controller.program import Acknowledge, Setpoint
 from tests.simulation.facts import Switch
 from tests.simulation.statements.asked import Payload, Ran, Request
 from tests.simulation.statements.exchange import Exchange
@@ -77,6 +78,16 @@ class EachGoalHasOneResult(OfClients):
             self.require(payload.get("repeated") and same, lambda: f"{text} is told again, after {first}")
         elif payload.get("repeated"):  # an earlier process had marked it, and may not have sent it
             self.require(self.exchange.happened("planner", ran.at), lambda: f"{text}, for the first time")
+
+    def told(self, event: Event) -> None:
+        """A result is acknowledged only after it was published and recorded; while the disk was full, not recorded."""
+        match event:
+            case FromClient(_, Acknowledge(result)):
+                mine = [ran for ran in self.exchange.programs.values() if ran.instance == self.exchange.instance]
+                for ran in [ran for ran in mine if ran.ended is not None and ran.ended.result == result]:
+                    accepted, recorded = self.exchange.recorded(ran)
+                    told = ran.results and (recorded or self.exchange.happened("disk", ran.at))
+                    self.require(told or not accepted, f"the result of {ran.goal} is acknowledged; told: {ran.results}")
 
     def told_all(self) -> None:
         for ran in self.exchange.programs.values():

@@ -200,7 +200,7 @@ class Daemon:
     def _die_with_result(self) -> None:
         process, self.storage.marked = self.process, nothing
         if process is not None:
-            self.agenda.after(self._random.uniform(0.0, 1.5 * TRANSMITTED), process.kill)
+            self.agenda.after(self._random.choice([0.0, 1.5 * TRANSMITTED]) * self._random.random(), process.kill)
 
     def end_in_order(self) -> None:
         """Asks the process to end, perhaps while requests arrive."""
@@ -222,6 +222,7 @@ class Daemon:
     def fill_disk(self, records: int) -> None:
         """Makes the disk full after some further records."""
         self.storage.fills_at = records
+        self.exchange.note("disk")
         self.saved.fill(True)
 
     def hold_up(self, slow: float = 0.0, congestion: float = 0.0) -> None:
@@ -246,6 +247,8 @@ class Daemon:
         self.hold_up()
         self.lose_network(False)
         self.drain_socket()
+        if self.storage.full:
+            self.exchange.note("disk")
         self.storage.full, self.storage.fills_at = False, None
         self.saved.fill(False)
         if self.process is not None:

@@ -34,7 +34,7 @@ class Storage:
     Attributes:
         published: marks of published results, by program.
         full: whether the disk is full.
-        marked: is called after each mark.
+        marked: is called after each mark, and after each record of a result.
         fills_at: number of further records after which the disk is full; None: it does not become full.
     """
 
@@ -49,6 +49,8 @@ class Storage:
     def write(self, record: Record) -> None:
         row = self.rows.setdefault(record.identity, Row())
         row.accepted, row.ended = row.accepted or record.accepted, row.ended or record.ended
+        if record.ended is not None:
+            self.marked()
 
     def mark(self, identity: Identity, payload: Payload) -> None:
         fields = payload["status"], payload["code"], payload["message"], payload["switches"]
