@@ -45,7 +45,7 @@ class MinimumSwitch:
         load(manipulator.planar)
         self._sizes = sizes
         self._m, self._hull, self._paths = manipulator, hull, paths
-        self._near, self._wide = TwoList(manipulator, sizes.near), TwoList(manipulator, sizes.widest)
+        self._near, self._wide = (TwoList(manipulator, most, sizes.matched) for most in (sizes.near, sizes.widest))
         self._four = FourList(manipulator, self._near.cut, sizes)
         self._tree = BranchAndBound(manipulator, hull) if manipulator.planar else None
         self._nearest, self._leaps = Nearest(manipulator, self._wide, sizes.near), Leaps(chain)

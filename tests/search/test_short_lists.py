@@ -11,22 +11,24 @@ import numpy as np
 import pytest
 
 from hyperbit.controller.manipulator.manipulator import Manipulator
-from hyperbit.controller.search.lists.two_list import ListSizes
+from hyperbit.controller.search.lists.two_list import ListSizes, TwoList
+from hyperbit.controller.search.method import distances
 from hyperbit.controller.search.search_time import search_effort
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import paper_arm, spatial_arm
 
 SIZES = (
-    ListSizes(near=64, wide=80, widest=100, quarter=64, layer=16, at_once=64),
-    ListSizes(near=24, wide=48, widest=64, quarter=8, layer=1, at_once=8),
+    ListSizes(near=64, wide=80, widest=100, quarter=64, layer=16, at_once=64, matched=4),
+    ListSizes(near=24, wide=48, widest=64, quarter=8, layer=1, at_once=8, matched=2),
 )
 ARMS = {  # the same ones for all sizes, so that each is mapped once
     "truss": paper_arm(4),
     "truss of unequal halves": Manipulator([*paper_arm(4).modules, spatial_arm(1).modules[0]][-4:]),
     "spatial": spatial_arm(5),
 }
-EFFORTS = (0.35, 0.5, 1.0, 5.0, 60.0)  # the first ones end in the lists
+EFFORTS = (0.5, 5.0, 60.0)
+LISTING = (0.30, 0.33)  # a deadline between these comes while lists are matched
 
 
 @pytest.mark.parametrize("sizes", SIZES, ids=lambda sizes: f"near {sizes.near}")
@@ -41,7 +43,8 @@ def test_what_lists_leave_out_is_never_claimed(name: str, weighted: bool, sizes:
     whole, short = Solver(arm, densities, weights), Solver(arm, densities, weights, list_whole=False, list_sizes=sizes)
     assert whole.enumeration is not None
     previous, proven = rng.integers(0, arm.states), 0
-    for k, effort in zip(range(100), itertools.cycle(EFFORTS), strict=False):
+    for k in range(100):
+        effort = rng.uniform(*LISTING) if k % 2 else float(rng.choice(EFFORTS))
         previous = previous if k % 3 else rng.integers(0, arm.states)
         goal = arm.tip(rng.integers(0, arm.states))[: arm.dimension, 3]
         goal += rng.normal(0, 0.02, arm.dimension) * (k % 2)
@@ -62,3 +65,17 @@ def test_what_lists_leave_out_is_never_claimed(name: str, weighted: bool, sizes:
         proven += found.certificate in ("optimal", "unreachable")
         previous = found.configuration
     assert proven >= 5, "it is not silence that makes certificates true"
+
+
+def test_lists_of_other_costs_or_lengths_are_listed_anew() -> None:
+    arm, rng = paper_arm(4), np.random.default_rng(3)
+    used, seed = TwoList(arm, 64), rng.integers(0, arm.states)
+    away = distances(arm, seed)
+    for most in (64, 20, None):
+        for costs in (away, away * rng.uniform(0.5, 2.0, away.shape), away):
+            fresh = TwoList(arm, 64)
+            for lists in (used, fresh):
+                lists.list(seed, away, costs, most)
+            for half, same in ((used.lower, fresh.lower), (used.upper, fresh.upper)):
+                np.testing.assert_allclose(half.costs, same.costs)
+                assert half.unexplored == pytest.approx(same.unexplored)

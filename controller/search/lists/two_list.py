@@ -27,7 +27,6 @@ from hyperbit.controller.search.target import SearchTarget
 Array = NDArray[np.float64]
 
 BAND_CELLS = 1 << 16  # cells of an index of few rows, in which many others are looked up
-AT_ONCE = 1 << 15  # lower rows matched between two checks of the deadline
 
 
 class ListSizes(NamedTuple):
@@ -40,6 +39,7 @@ class ListSizes(NamedTuple):
         quarter: most rows of a quarter.
         layer: fewest pairs of a layer of quarters, unless it is the last.
         at_once: pairs of quarters between two checks of the deadline.
+        matched: lower rows matched between two checks of the deadline.
     """
 
     near: int = 1 << 14
@@ -48,6 +48,7 @@ class ListSizes(NamedTuple):
     quarter: int = 1 << 14
     layer: int = 1 << 14
     at_once: int = 1 << 17
+    matched: int = 1 << 15
 
     @property
     def ladder(self) -> tuple[int, int, int]:
@@ -66,8 +67,8 @@ class TwoList:
     lower: Segment  # rows of the modules below the cut, with inverse frames: F_0 in F_cut
     upper: Segment  # rows of the modules above the cut, with frames F_B in F_cut
 
-    def __init__(self, manipulator: Manipulator, most: int) -> None:
-        self._states, self._motions = manipulator.states, motions(manipulator)
+    def __init__(self, manipulator: Manipulator, most: int, matched: int = ListSizes().matched) -> None:
+        self._states, self._motions, self._matched = manipulator.states, motions(manipulator), matched
         count = len(self._states)
         self.cut = middle(manipulator, 0, count)
         self._ends = ((0, self.cut), (self.cut, count))
@@ -122,10 +123,10 @@ class TwoList:
         index, lower, goal = self.index(target.radius, target.chord), self.lower.side(), fixed(target.row)
         incumbent.clock.charge(filling(index))
         unexplored = min(self.lower.unexplored, self.upper.unexplored)
-        for start in range(0, len(lower.costs), AT_ONCE):
+        for start in range(0, len(lower.costs), self._matched):
             if start > 0 and incumbent.late:
                 return False, min(unexplored, float(lower.costs[start:].min()))
-            span = Span(start, min(start + AT_ONCE, len(lower.costs)), 0, 1, -np.inf, np.inf)
+            span = Span(start, min(start + self._matched, len(lower.costs)), 0, 1, -np.inf, np.inf)
             improve(incumbent, Sides(lower, goal, index), span, target, self._seed)
         return True, unexplored
 
