@@ -8,9 +8,11 @@ import sys
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+from numba.core.compiler import DEFAULT_FLAGS
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.event import Event, Listener, register
 from numba.core.registry import CPUDispatcher
+from numba.core.targetconfig import ConfigStack
 
 F = TypeVar("F", bound=Callable[..., Any])
 kernels = list["Kernel"]()  # of all modules that this process has imported
@@ -29,8 +31,10 @@ class Kernel(CPUDispatcher):
                 return
             self.loading = True
             try:
-                for signature in self.declared:
-                    self.compile(signature)
+                # Otherwise a kernel that calls this one would pass on its option _nrt.
+                with ConfigStack().enter(DEFAULT_FLAGS.copy()):  # type: ignore[no-untyped-call]
+                    for signature in self.declared:
+                        self.compile(signature)
                 self.disable_compile()
                 self.declared = ()
             finally:

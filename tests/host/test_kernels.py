@@ -1,13 +1,30 @@
 """Which modules have kernels, in which order they are compiled, and what does without them."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from hyperbit.controller.host import kernels
 from hyperbit.controller.manipulator import frame_kernels
 
+TWO = """
+import numpy as np
+from numba import float64, int64
+from hyperbit.controller.host.kernel import kernel
+
+@kernel(float64(int64))
+def allocates(n):
+    return np.full(n, 2.0).sum()
+
+@kernel(float64(int64), _nrt=False)
+def calls(n):
+    return allocates(n)
+
+print(calls(3))
+"""
 WITHOUT = (  # what the planner's core and clients use
     *(f"hyperbit.controller.manipulator.{name}" for name in ("frames", "locked", "notation")),
     *("hyperbit.controller.motion.targets", "hyperbit.controller.motion.trajectory"),
@@ -84,3 +101,11 @@ def test_what_needs_no_kernel_does_not_import_numba():
     code = "import sys\nfor name in sys.argv[1:]:\n    __import__(name)\n    assert 'numba' not in sys.modules, name"
     done = subprocess.run([sys.executable, "-c", code, *WITHOUT], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_kernel_that_allocates_is_compiled_by_one_that_counts_no_references(tmp_path: Path) -> None:
+    """In a process of its own, which has no machine code of the two."""
+    (tmp_path / "two.py").write_text(TWO)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run([sys.executable, tmp_path / "two.py"], capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stdout) == (0, "6.0\n"), done.stderr
