@@ -70,9 +70,7 @@ check: $(VENV)/installed
 	PYTHONPATH=$(VENV)/linked $(BIN)/lint-imports
 
 bench: $(VENV)/installed
-	$(BIN)/python -m tests.benchmarks.workspace.mapping
-	$(BIN)/python -m tests.benchmarks.search.comparison
-	$(BIN)/python -m tests.benchmarks.motion.lines
+	$(BIN)/python -m tests.benchmarks.search.growth
 	$(BIN)/python -m tests.benchmarks.motion.trajectories
 	$(BIN)/python -m tests.benchmarks.arm.shipped
 	$(BIN)/python -m tests.benchmarks.search.poses
@@ -80,10 +78,6 @@ bench: $(VENV)/installed
 	$(BIN)/python -m tests.benchmarks.motion.obstacle_transitions
 	$(BIN)/python -m tests.benchmarks.daemon.goal_latency
 	$(BIN)/python -m tests.benchmarks.daemon.real_time
-	$(BIN)/python -m tests.benchmarks.daemon.load
-	$(BIN)/python -m tests.benchmarks.daemon.floods
-	$(BIN)/python -m tests.benchmarks.daemon.bridge
-	$(BIN)/python -m tests.benchmarks.motion.steps
 
 # Twenty arms, five clients, two pages and a recorder on this computer, with faults. Two processors bear ten arms at most:
 # make fleet ARGS="--arms 1,2,5,10"

@@ -11,8 +11,9 @@ import pytest
 import hyperbit as hb
 from hyperbit.controller.bench.arm import BenchArm, bench_arm
 from hyperbit.controller.bench.goal_sets import Task, read, sample_evenly
-from hyperbit.controller.bench.methods import METHODS, find_method
+from hyperbit.controller.bench.methods import METHODS, find_method, two_list
 from hyperbit.controller.bench.running import Row, run
+from tests.arms import paper_arm
 
 TASKS = sample_evenly(read("lattice"), 10)
 BEST = {(task.arm, task.start.tobytes(), task.position): task for task in TASKS}
@@ -202,3 +203,16 @@ def test_an_answer_does_not_depend_on_other_goals():
     for other in others:
         later(hb.Goal(other.position, other.angle, other.tolerance), other.start)
     assert np.array_equal(first(goal, task.start), later(goal, task.start))
+
+
+def test_the_list_of_a_half_is_complete_without_duplicates():
+    arm = paper_arm(6)
+    problem, previous = two_list.prepare(arm, None, 3), np.array([1, 7, 0, 2, 5, 4])
+    problem.upper.list((0.0, 0.0), problem.arm.costs(previous), 3)
+    found = set()
+    for row in range(problem.upper.count):
+        own = previous.copy()
+        problem.upper.write(problem.upper.codes[row], own)
+        assert arm.switches(own, previous) == problem.upper.prices[row] <= 3
+        found.add(tuple(own))
+    assert len(found) == problem.upper.count == 1 + 9 + 36 + 84

@@ -1,4 +1,4 @@
-"""The harness of all benchmarks: command line, times, percentiles, and figures as text and JSON."""
+"""What all benchmarks share: options, times, percentiles, and figures as tables and as JSON."""
 
 import argparse
 import gc
@@ -30,31 +30,32 @@ class CommandLine(argparse.ArgumentParser):
 
     Args:
         goals: default of the option `--goals`; None: no such option.
+        busy: whether there is an option `--busy`.
+        options: defaults of further options, by name; their types are those of the defaults.
     """
 
-    def __init__(self, description: str | None, goals: int | None = None, busy: bool = False) -> None:
+    def __init__(
+        self, description: str | None, goals: int | None = None, busy: bool = False, **options: float | str
+    ) -> None:
         super().__init__(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
         self.add_argument("--json", type=Path, help="also write the figures there")
-        if goals is not None:
-            self.add_argument("--goals", type=int, default=goals, help=f"number of goals (default: {goals})")
+        for name, default in (({} if goals is None else {"goals": goals}) | options).items():
+            self.add_argument(f"--{name}", type=type(default), default=default, help="(default: %(default)s)")
         if busy:
             self.add_argument("--busy", action="store_true", help="count the thread's own time, on a busy machine")
 
     def parse(self) -> argparse.Namespace:
         """Returns the options. With `--busy` all times and deadlines of this process are those of its thread."""
         given = self.parse_args()
-        if getattr(given, "goals", 1) < 1:
-            self.error(f"--goals: at least 1, got {given.goals}")
         if getattr(given, "busy", False):
             time.perf_counter = time.thread_time
         return given
 
 
-def timed(call: Callable[[], T], clock: Callable[[], float] | None = None) -> tuple[T, float]:
-    """Returns the result of a call, and its time [s], by default by `time.perf_counter`."""
-    clock = clock or time.perf_counter  # which --busy replaces
-    began = clock()
-    return call(), clock() - began
+def timed(call: Callable[[], T]) -> tuple[T, float]:
+    """Returns the result of a call, and its time [s]."""
+    began = time.perf_counter()
+    return call(), time.perf_counter() - began
 
 
 def processor_time(pid: int) -> float:
@@ -75,22 +76,17 @@ def no_collection() -> Iterator[None]:
 
 
 def percentiles(times: Times, *names: str) -> dict[str, float]:
-    """Returns percentiles of times in milliseconds.
-
-    Args:
-        names: of `PERCENTILES`; by default median, 99 %, 99.9 % and worst.
-    """
+    """Returns percentiles of times [s] in milliseconds: those named, or median, 99 %, 99.9 % and worst."""
     names = names or ("p50", "p99", "p999", "worst")
     return {name: round(1e3 * float(np.quantile(times, PERCENTILES[name])), 4) for name in names}
 
 
-def median_and_99(times: Times) -> str:
-    """Returns median and 99 % of times [s] as text, in milliseconds."""
-    median, nearly_all = 1e3 * np.quantile(times, (0.5, 0.99))
-    return f"{median:.2f} / {nearly_all:.1f}"
+def joined(times: Times, *names: str) -> str:
+    """Returns percentiles of times [s] as text, in milliseconds."""
+    return " / ".join(f"{time:.3g}" for time in percentiles(times, *names).values())
 
 
-def show(title: str, headers: Sequence[str], rows: Iterable[Sequence[object]], width: int = 130) -> None:
+def show(title: str, headers: Sequence[str], rows: Iterable[Sequence[object]], width: int = 150) -> None:
     table = Table(title=escape(title))
     for k, header in enumerate(headers):
         table.add_column(escape(header), justify="right" if k else "left")

@@ -1,6 +1,6 @@
 """Many arms on one computer: rates, latency and costs as arms are added, then faults.
 
-python -m tests.benchmarks.fleet [--arms 1,2,5,10,20] [--seconds 30] [--picture PNG] [--json PATH]
+python -m tests.benchmarks.fleet [--arms 1,2,5,10,20] [--seconds 30] [--json PATH]
 
 Each arm is the paper's, with two simulated boards, and has a planner and an executor. Five clients, two pages and a
 recorder share a router with them. Each arm gets a goal a second, if it keeps up. A computer for each arm would bear
@@ -11,25 +11,24 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import zenoh
-from rich.console import Console
-from rich.table import Table
 
 from hyperbit.controller.arm.arm import load
 from tests.benchmarks.fleet.faults import play
 from tests.benchmarks.fleet.plant import PATIENCE, Cost, Plant, sum_of
 from tests.benchmarks.fleet.traffic import NOT_RECEIVED, Place, Traffic, ends
-from tests.benchmarks.harness import PAPER_ARM, CommandLine, report
+from tests.benchmarks.harness import PAPER_ARM, CommandLine, joined, report, show
+from tests.benchmarks.solving import random_tips
 from tests.waiting import eventually
 
 SETTLE = 5.0  # [s] after the last arm has begun to serve
 OTHERS = ("router", "page1", "page2", "recorder")
+HEADERS = ("arms", "goals/s an arm", "answer p50, p99 [ms]", "result p50, p99 [ms]", "states/s an arm")
+HEADERS += ("processor an arm", "of all else", "MB an arm", "ended")
 
 
 class Row(NamedTuple):
@@ -45,34 +44,36 @@ class Row(NamedTuple):
 
     arms: int
     goals: float
-    answer: tuple[float, float]
-    end: tuple[float, float]
+    answer: str
+    end: str
     states: float
     arm: float
     others: float
     memory: float
     ended: dict[str, int]
 
+    def cells(self) -> tuple[object, ...]:
+        how = ", ".join(f"{count} {status}" for status, count in self.ended.items())
+        shares = (f"{100 * self.arm:.0f} %", f"{100 * self.others:.0f} %")
+        return self.arms, self.goals, self.answer, self.end, self.states, *shares, self.memory, how
+
 
 def main() -> None:
-    parser = CommandLine(__doc__)
-    parser.add_argument("--arms", default="1,2,5,10,20", help="numbers of arms, increasing (default: %(default)s)")
-    parser.add_argument("--seconds", type=float, default=30.0, help="time of each number (default: %(default)g)")
-    parser.add_argument("--picture", type=Path, help="draw latency over arms there")
-    options = parser.parse()
+    options = CommandLine(__doc__, arms="1,2,5,10,20", seconds=30.0).parse()
     counts = [int(it) for it in options.arms.split(",")]
     with ExitStack() as closing:
         plant = Plant(Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="hb"))), closing)
         traffic = Traffic(plant, places())
         closing.callback(traffic.close)
         rows = [measured(plant, traffic, count, options.seconds) for count in counts]
-        show(rows)
+        show("", HEADERS, [row.cells() for row in rows])
         faults = play(plant, traffic)
         books = written(plant)
     print(*faults, sep="\n")
-    if options.picture:
-        draw(rows, options.picture)
-    doubled = sorted({goal for goal, ended in books.items() if len(ended) > 1} | set(repeated(traffic.results)))
+    doubled = sorted(
+        {goal for goal, ended in books.items() if len(ended) > 1}
+        | {goal for goal, count in traffic.results.items() if count > 1}
+    )
     open_ends = sorted([*traffic.unknown, *(goal for goal, ended in books.items() if None in ended)])
     late = sum(it.status == NOT_RECEIVED and it.id in books for it in traffic.sent)
     bars = {
@@ -95,14 +96,8 @@ def written(plant: Plant) -> dict[str, list[str | None]]:
     return books
 
 
-def repeated(results: Counter[str]) -> list[str]:
-    return [goal for goal, count in results.items() if count > 1]
-
-
 def places() -> list[Place]:
-    manipulator = load(PAPER_ARM).manipulator
-    states = np.random.default_rng(9).integers(0, 8, (500, len(manipulator.states)))
-    return [tip.tolist() for tip in manipulator.tips(states)[:, :2, 3]]
+    return random_tips(load(PAPER_ARM).manipulator, 500, seed=9).tolist()
 
 
 def measured(plant: Plant, traffic: Traffic, count: int, seconds: float) -> Row:
@@ -128,8 +123,8 @@ def measured(plant: Plant, traffic: Traffic, count: int, seconds: float) -> Row:
     row = Row(
         count,
         round(len(goals) / count / took, 3),
-        middle_and_most([it.answered for it in goals]),
-        middle_and_most([it.ended for it in goals]),
+        joined([it.answered for it in goals], "p50", "p99"),
+        joined([it.ended for it in goals], "p50", "p99"),
         round(sum(heard.values()) / count / took, 1),
         round(arms / count / took, 3),
         round((others + own) / took, 3),
@@ -142,43 +137,6 @@ def measured(plant: Plant, traffic: Traffic, count: int, seconds: float) -> Row:
 
 def costs(plant: Plant) -> tuple[Cost, Cost]:
     return sum_of(plant.costs(plant.arms)), sum_of(plant.costs(OTHERS))
-
-
-def middle_and_most(times: Sequence[float]) -> tuple[float, float]:
-    """Returns median and 99 % of times [s] in milliseconds."""
-    median, most = 1e3 * np.quantile(times, (0.5, 0.99))
-    return round(float(median), 1), round(float(most), 1)
-
-
-def show(rows: Sequence[Row]) -> None:
-    table = Table("arms", "goals/s an arm", "answer p50, p99 [ms]", "result p50, p99 [ms]", "states/s an arm",
-                  "processor an arm", "of all else", "MB an arm", "ended")  # fmt: skip
-    for row in rows:
-        pairs = [f"{a:g}, {b:g}" for a, b in (row.answer, row.end)]
-        how = ", ".join(f"{count} {status}" for status, count in row.ended.items())
-        numbers = (row.states, f"{100 * row.arm:.0f} %", f"{100 * row.others:.0f} %", row.memory)
-        table.add_row(str(row.arms), str(row.goals), *pairs, *map(str, numbers), how)
-    Console(width=160).print(table)
-
-
-def draw(rows: Sequence[Row], path: Path) -> None:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7, 4.2), layout="constrained")
-    axes = figure.add_subplot()
-    counts = [row.arms for row in rows]
-    for name, color, pairs in (
-        ("answer", "C0", [row.answer for row in rows]),
-        ("result", "C1", [row.end for row in rows]),
-    ):
-        for k, (part, style) in enumerate((("half of the goals", "-"), ("99 %", "--"))):
-            axes.plot(counts, [pair[k] for pair in pairs], style, color=color, marker="o", label=f"{name}, {part}")
-    axes.set(xscale="log", yscale="log", xlabel="arms on one computer", ylabel="time from the goal's put [ms]")
-    axes.set_xticks(counts, [str(count) for count in counts])
-    axes.minorticks_off()
-    axes.grid(alpha=0.3)
-    axes.legend()
-    figure.savefig(path, dpi=120)
 
 
 if __name__ == "__main__":

@@ -6,9 +6,7 @@ with each goal, so that they share the load of the machine and the caches of swe
 each goal; whether a clear transition to it exists is not known.
 """
 
-import time
 from collections import Counter
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,7 +20,7 @@ from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.search_time import search_time
 from hyperbit.controller.search.solver import Solver
-from tests.benchmarks.harness import DEPLOY, CommandLine, percentiles, show, write_figures
+from tests.benchmarks.harness import DEPLOY, CommandLine, joined, show, timed, write_figures
 from tests.benchmarks.motion.obstacle_transitions import scene
 from tests.benchmarks.search.obstacles import drawn
 from tests.benchmarks.solving import ready_solver
@@ -32,14 +30,6 @@ DEADLINES = (0.05, 0.5, 5.0)  # [s]
 THREADS = 2
 EACH, RADIUS = 5, 0.02  # goals among the same obstacles; half the thickness of the bodies
 FEWEST = 0.02  # least share of clear configurations
-
-
-@dataclass
-class Tally:
-    """Outcomes of one deadline: reasons, "found" for a plan; and times [s]."""
-
-    outcomes: Counter[str] = field(default_factory=Counter)
-    seconds: list[float] = field(default_factory=list)
 
 
 def planned(arm: Arm, solver: Solver, goal: np.ndarray, start: np.ndarray, deadline: float) -> str:
@@ -53,10 +43,11 @@ def planned(arm: Arm, solver: Solver, goal: np.ndarray, start: np.ndarray, deadl
     return "found"
 
 
-def measured(name: str, count: int) -> dict[float, Tally]:
+def measured(name: str, count: int) -> tuple[dict[float, Counter[str]], dict[float, list[float]]]:
+    """Returns the outcomes of each deadline, "found" or the reason, and the times [s]."""
     arm, rng = load(DEPLOY / name), np.random.default_rng(4)
-    m, solver, tallies = arm.manipulator, ready_solver(arm), {deadline: Tally() for deadline in DEADLINES}
-    done = 0
+    m, solver, done = arm.manipulator, ready_solver(arm), 0
+    outcomes, times = {it: Counter[str]() for it in DEADLINES}, {it: list[float]() for it in DEADLINES}
     while done < count:
         clearance = BodyClearance(m, obstacles_of(scene(m, rng)), RADIUS)
         some = rng.integers(0, m.states, (500, len(m.states)))
@@ -65,30 +56,27 @@ def measured(name: str, count: int) -> dict[float, Tally]:
         chosen, _ = drawn(clearance, 2 * EACH, rng)
         own = solver.avoiding(clearance)
         for start, end in zip(chosen[:EACH], chosen[EACH:], strict=True):
+            goal = m.tip(end)[: m.dimension, 3]
             for k in range(len(DEADLINES)):
                 deadline = DEADLINES[(done + k) % len(DEADLINES)]
-                began, tally = time.perf_counter(), tallies[deadline]
-                tally.outcomes[planned(arm, own, m.tip(end)[: m.dimension, 3], start, deadline)] += 1
-                tally.seconds.append(time.perf_counter() - began)
+                outcome, seconds = timed(lambda d=deadline, g=goal, s=start, own=own: planned(arm, own, g, s, d))
+                outcomes[deadline][outcome] += 1
+                times[deadline].append(seconds)
             done += 1
-    return tallies
+    return outcomes, times
 
 
 def main() -> None:
-    parser = CommandLine(__doc__, goals=100)
-    parser.add_argument("--only", default="platform8,revolute24", help="names of the arms' files")
-    given = parser.parse()
-    figures = {}
+    given, figures = CommandLine(__doc__, goals=100, only="platform8,revolute24").parse(), {}
     for name in given.only.split(","):
-        tallies = measured(f"{name}.yaml", given.goals)
-        reasons = sorted({reason for tally in tallies.values() for reason in tally.outcomes} - {"found"})
-        rows = []
-        for deadline, tally in tallies.items():
-            times, total = percentiles(tally.seconds, "p50", "p99", "worst"), tally.outcomes.total()
-            shares = (f"{tally.outcomes[reason] / total:.1%}" for reason in ("found", *reasons))
-            rows.append((f"{deadline:g}", *shares, " / ".join(f"{t:.3g}" for t in times.values())))
-            figures[f"{name} {deadline:g}"] = dict(tally.outcomes) | times
-        show(f"{name}: {given.goals} goals", ("deadline [s]", "found", *reasons, "p50 / p99 / worst [ms]"), rows)
+        outcomes, times = measured(f"{name}.yaml", given.goals)
+        reasons = ["found", *sorted({reason for own in outcomes.values() for reason in own} - {"found"})]
+        rows = [
+            (f"{deadline:g}", *(f"{own[reason] / own.total():.1%}" for reason in reasons), joined(times[deadline]))
+            for deadline, own in outcomes.items()
+        ]
+        show(f"{name}: {given.goals} goals", ("deadline [s]", *reasons, "median / 99 % / 99.9 % / worst [ms]"), rows)
+        figures[name] = {"outcomes": outcomes, "times": times}
     write_figures(given.json, figures)
 
 

@@ -1,13 +1,12 @@
-"""Transitions among regions: python -m tests.benchmarks.motion.obstacle_transitions [--busy] [--only NAME] [--count N]
+"""Transitions among obstacles: python -m tests.benchmarks.motion.obstacle_transitions [--busy] [--only NAME]
 
-Arms of different kinds go from goal to goal, each the tip of a random clear configuration, among regions drawn anew
-for every 20 goals. Every transition planned is carried out some times over by a reckoning of its own, in plain NumPy
-(tests.obstacles.moving): the actuators of a stage begin and end as they like, and at random moments between all modules
-are looked at, by points along their lines. Some of the goals are planned without regions, too, from the same
-configurations.
+Arms of different kinds go from goal to goal, each the tip of a random collision-free configuration. Obstacles are drawn
+anew for every 20 goals. An independent model in plain NumPy (tests.obstacles.moving) executes each planned transition
+several times: the actuators of a stage begin and end in any order, and at random moments all modules are sampled along
+their lines. Some goals are also planned without obstacles, from the same configurations.
 
-On small arms what is found is held to what trying every configuration and every order of single actuators finds, by the
-same reckoning. With --busy times and deadlines are those of the thread on its processor.
+On small arms, exhaustive search over configurations and orders of single actuators tells which goals can be reached.
+With --busy times and deadlines are those of the thread on its processor.
 """
 
 import time
@@ -30,7 +29,7 @@ from hyperbit.controller.search.method import Method
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration
-from tests.benchmarks.harness import CommandLine, median_and_99, show, write_figures
+from tests.benchmarks.harness import CommandLine, joined, show, write_figures
 from tests.manipulator.test_platform import hexapod as joints
 from tests.obstacles.dense import Box, Disc, Shape, obstacles_of
 from tests.obstacles.moving import Part, arm, hexapod, hinge, motion, pair, room, truss
@@ -163,7 +162,7 @@ def edges(parts: Sequence[Part], around: list[Shape], codes: np.ndarray) -> np.n
     return clear
 
 
-def held_to_brute_force(name: str, parts: Sequence[Part], scenes: int, each: int, tolerance: float) -> list[str]:
+def compared_with_all_orders(name: str, parts: Sequence[Part], scenes: int, each: int, tolerance: float) -> list[str]:
     """Counts what is found of goals to which there is a way, by trying all configurations and orders."""
     manipulator, rng = arm(parts), np.random.default_rng(2)
     solver, every = Solver(manipulator, map_densities(manipulator, 0.02, 20_000)), every_configuration(manipulator)
@@ -225,34 +224,25 @@ def linked(clear: np.ndarray, start: int) -> np.ndarray:
 
 
 def main() -> None:
-    parser = CommandLine(__doc__, busy=True)
-    parser.add_argument("--count", type=int, default=10_000, help="transitions in all")
-    parser.add_argument("--scenes", type=int, default=30, help="of each small arm, 0 for none")
-    parser.add_argument("--minutes", type=float, default=np.inf, help="that a run takes at most")
-    parser.add_argument("--only", help="name of one run")
-    given = parser.parse()
-    tallies, rows = dict[str, Tally](), []
+    options = {"count": 10_000, "scenes": 30, "minutes": np.inf, "only": ""}
+    given, tallies, rows = CommandLine(__doc__, busy=True, **options).parse(), dict[str, Tally](), []
     for run in RUNS:
-        if given.only in (None, run.name):
+        if given.only in ("", run.name):
             t = tallies[run.name] = measured(run, round(given.count * run.share), given.minutes)
             means = (f"{t.switches / t.transitions:.2f}", f"{t.stages / t.transitions:.2f}")
-            times = (median_and_99(t.among), median_and_99(t.alone), f"{np.mean(t.among) / np.mean(t.alone):.2f}")
             found = (f"{t.staged / t.transitions:.1%}", t.violations, f"{t.least:.5f}")
+            times = (joined(t.among, "p50", "p99"), joined(t.alone, "p50", "p99"))
             rows.append((run.name, t.goals, t.transitions, t.barred, *means, *found, *times))
     headers = ("arm", "goals", "planned", "no way", "switches", "stages", "in more", "violations", "least room")
-    headers += ("planning, median / 99 % [ms]", "without regions", "ratio of means")
-    title = f"{MOTIONS} motions of each stage, looked at {SAMPLES} times; bodies of radius {RADIUS:g}"
-    show(title, headers, rows, 150)
+    headers += ("planning, median / 99 % [ms]", "without obstacles")
+    show(f"{MOTIONS} motions of each stage, looked at {SAMPLES} times; bodies of radius {RADIUS:g}", headers, rows)
     small = {"trusses": TRUSS + TRUSS[:1], "hinges": [hinge(-0.6, 0.6, 0.2)] * 8}
+    headers = ("arm", "goals", "solvable", "found", "found though not", "solvable to and fro")
+    chosen = {name: parts for name, parts in small.items() if given.scenes and given.only in ("", name)}
     show(
         f"{given.scenes} scenes of each small arm, against every configuration and every order",
-        ("arm", "goals", "solvable", "found", "found though not", "solvable to and fro"),
-        [
-            held_to_brute_force(name, parts, given.scenes, 10, 0.03)
-            for name, parts in small.items()
-            if given.scenes and given.only in (None, name)
-        ],
-        150,
+        headers,
+        [compared_with_all_orders(name, parts, given.scenes, 10, 0.03) for name, parts in chosen.items()],
     )
     write_figures(given.json, tallies)
 

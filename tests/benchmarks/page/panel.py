@@ -25,43 +25,39 @@ from numpy.typing import NDArray
 from websockets.sync.client import ClientConnection, connect
 
 from hyperbit.controller.panel.access.people import digest_of
-from tests.benchmarks.daemon.chain.parts import Parts
+from tests.benchmarks.daemon.chain import Chain
 from tests.benchmarks.harness import CommandLine, percentiles, processor_time, report
 from tests.system.stack.observer import Observer
 from tests.waiting import PATIENCE, eventually
 
-PAGES, ARM = 20, "planar16"
+PAGES = 20
 BETWEEN = 0.05, 0.3  # [s] from the acceptance of a goal to its stop
 ROW = "p50", "p75", "worst"
 WITHIN = 20.0  # bar: [ms] between the medians
 
 
-def page(closing: ExitStack, url: str, cookie: str) -> ClientConnection:
-    socket = connect(
-        f"{url.replace('http', 'ws')}arms/{ARM}/live", origin=url.rstrip("/"), additional_headers={"cookie": cookie}
-    )  # type: ignore[arg-type]
-    closing.callback(socket.close)
-
-    def read() -> None:
-        for _ in socket:
-            pass
-
-    threading.Thread(target=read, daemon=True).start()
-    return socket
-
-
-def serve(closing: ExitStack, parts: Parts) -> tuple[str, str]:
-    people, log = parts.folder / "people.yaml", parts.folder / "panel.log"
+def serve(closing: ExitStack, chain: Chain) -> tuple[str, str]:
+    """Starts a panel; returns its address, and the cookie of an operator."""
+    people, log = chain.folder / "people.yaml", chain.folder / "panel.log"
     people.write_text(f"people: [{{name: a, role: operator, token: {digest_of('t')}}}]")
-    words = ["panel", "--connect", parts.endpoint, "--listen", "127.0.0.1:0", "--people", str(people)]
+    words = ["panel", "--connect", chain.endpoint, "--listen", "127.0.0.1:0", "--people", str(people)]
     out = closing.enter_context(log.open("w"))
-    environment = {**os.environ, "STATE_DIRECTORY": str(parts.folder)}
+    environment = {**os.environ, "STATE_DIRECTORY": str(chain.folder)}
     panel = subprocess.Popen([sys.executable, "-m", "hyperbit", *words], stdout=out, stderr=out, env=environment)
     closing.callback(panel.wait, PATIENCE)
     closing.callback(panel.terminate)
     url = eventually(lambda: re.findall(r"http://\S+", log.read_text()))[0]
     answer = httpx2.post(f"{url}session", json={"token": "t"}, headers={"origin": url.rstrip("/")})
     return url, answer.headers["set-cookie"].partition(";")[0]
+
+
+def page(closing: ExitStack, chain: Chain, url: str, cookie: str) -> ClientConnection:
+    """Opens the arm's page, and reads what it gets."""
+    live, headers = f"{url.replace('http', 'ws')}arms/{chain.name}/live", {"cookie": cookie}
+    socket = connect(live, origin=url.rstrip("/"), additional_headers=headers)  # type: ignore[arg-type]
+    closing.callback(socket.close)
+    threading.Thread(target=lambda: [None for _ in socket], daemon=True).start()
+    return socket
 
 
 def stop_often(client: Observer, live: ClientConnection, count: int) -> dict[str, list[tuple[float, float]]]:
@@ -74,62 +70,54 @@ def stop_often(client: Observer, live: ClientConnection, count: int) -> dict[str
         goal = {"waypoints": [{"configuration": ("7", "0")[(k + k // 2) % 2] * 16}]}
         eventually(lambda goal=goal, k=k: client.send("goal", id=f"{k} {time.monotonic()}", **goal)["accepted"])
         time.sleep(drawn.uniform(*BETWEEN))
-        before, began, at = len(client.heard["state"]), time.monotonic(), time.time()
+        before, began = len(client.heard["state"]), time.monotonic()
         if kind == "page":
             live.send(json.dumps({"do": "stop", "n": k}))
         else:
             client.ask("stop")
         client.wait_for("stopped", after=before)
-        stopped = next(k for k, state in enumerate(client.heard["state"]) if k >= before and state["mode"] == "stopped")
-        spans[kind].append((began, began + client.times["state"][stopped] - at))
+        spans[kind].append((began, time.monotonic()))
         client.reset()
     return spans
-
-
-def main() -> None:
-    parser = CommandLine(__doc__)
-    parser.add_argument("--stops", type=int, default=30)
-    parser.add_argument("--seconds", type=float, default=20.0)
-    wanted = parser.parse()
-    shares: dict[str, list[float]] = {}
-    with Parts(real_time=True, travel_time=0.01, inrush=1) as parts, ExitStack() as closing:
-        url, cookie = serve(closing, parts)
-        client = parts.client()
-        live = page(closing, url, cookie)
-        time.sleep(1.0)
-        spans = stop_often(client, live, wanted.stops)
-        for count in (0, PAGES, 0, PAGES):
-            with ExitStack() as pages:
-                for _ in range(count):
-                    page(pages, url, cookie)
-                time.sleep(2.0)
-                before = processor_time(parts.processes["planner"].pid)
-                time.sleep(wanted.seconds)
-                share = (processor_time(parts.processes["planner"].pid) - before) / wanted.seconds
-            shares.setdefault(f"{count + 1} pages", []).append(round(100 * share, 2))
-        real_time = client.diagnosed()["real_time"]
-    syncs = parts.record("syncs")["at"]
-    to_last = {kind: [last(syncs, *span) for span in own] for kind, own in spans.items()}
-    heard = {kind: [b - a for a, b in own] for kind, own in spans.items()}
-    medians = {kind: 1e3 * statistics.median(times) for kind, times in to_last.items()}
-    difference = medians["page"] - medians["command"]
-    figures = {
-        "SYNCs of the goals apart [ms]": round(1e3 * float(np.median(np.diff(syncs))), 2),
-        "to the last SYNC [ms]": {kind: percentiles(times, *ROW) for kind, times in to_last.items()},
-        "no SYNC after the request": {kind: sum(time == 0.0 for time in times) for kind, times in to_last.items()},
-        "until stopped is heard [ms]": {kind: percentiles(times, *ROW) for kind, times in heard.items()},
-        "difference of the medians to the last SYNC [ms]": round(difference, 2),
-        "stops of each kind": wanted.stops,
-        "processor of the planner [%]": shares,
-        "real_time": real_time,
-    }
-    report(figures, {f"medians within {WITHIN:g} ms": abs(difference) <= WITHIN}, wanted.json)
 
 
 def last(syncs: NDArray[np.float64], began: float, heard: float) -> float:
     """Returns the time from a stop to the last SYNC before the state was heard [s]; 0 if none came after the stop."""
     k = int(np.searchsorted(syncs, heard)) - 1
     return max(float(syncs[k]) - began, 0.0) if k >= 0 else 0.0
+
+
+def main() -> None:
+    given, shares = CommandLine(__doc__, stops=30, seconds=20.0).parse(), dict[str, list[float]]()
+    with Chain(travel_time=0.01, inrush=1) as chain, ExitStack() as closing:
+        url, cookie = serve(closing, chain)
+        client, live = chain.client(), page(closing, chain, url, cookie)
+        time.sleep(1.0)
+        spans, planner = stop_often(client, live, given.stops), chain.processes["planner"].pid
+        for count in (0, PAGES, 0, PAGES):
+            with ExitStack() as pages:
+                for _ in range(count):
+                    page(pages, chain, url, cookie)
+                time.sleep(2.0)
+                before = processor_time(planner)
+                time.sleep(given.seconds)
+                share = (processor_time(planner) - before) / given.seconds
+            shares.setdefault(f"{count + 1} pages", []).append(round(100 * share, 2))
+        real_time = client.diagnosed()["real_time"]
+    syncs = chain.records["syncs"]["at"]
+    to_last = {kind: [last(syncs, *span) for span in own] for kind, own in spans.items()}
+    heard = {kind: [b - a for a, b in own] for kind, own in spans.items()}
+    medians = {kind: 1e3 * statistics.median(times) for kind, times in to_last.items()}
+    figures = {
+        "SYNCs of the goals apart [ms]": round(1e3 * float(np.median(np.diff(syncs))), 2),
+        "to the last SYNC [ms]": {kind: percentiles(times, *ROW) for kind, times in to_last.items()},
+        "no SYNC after the request": {kind: sum(time == 0.0 for time in times) for kind, times in to_last.items()},
+        "until stopped is heard [ms]": {kind: percentiles(times, *ROW) for kind, times in heard.items()},
+        "processor of the planner [%]": shares,
+        "real_time": real_time,
+    }
+    bars = {f"medians within {WITHIN:g} ms": abs(medians["page"] - medians["command"]) <= WITHIN}
+    report(figures, bars, given.json)
 
 
 if __name__ == "__main__":

@@ -4,31 +4,22 @@ Goals are tips of random configurations. Each search starts at the optimal confi
 enough time to prove nearly all optima.
 """
 
-import numpy as np
-
 from hyperbit.controller.arm.arm import load
-from tests.benchmarks.harness import PAPER_ARM, CommandLine, show, write_figures
-from tests.benchmarks.solving import home, random_tips, ready_solver
+from tests.benchmarks.harness import PAPER_ARM, CommandLine, joined, show, write_figures
+from tests.benchmarks.solving import by, home, random_tips, ready_solver, traced
 
 SECONDS = 5.0  # for a proof
 
 
 def main() -> None:
-    given = CommandLine(__doc__, goals=10_000).parse()
-    arm = load(PAPER_ARM)
-    m, solver = arm.manipulator, ready_solver(arm)
-    tips, previous = random_tips(m, given.goals)[:, :2, 3], home(m)
-    switches, proven, seconds = (np.zeros(given.goals) for _ in range(3))
-    for k, goal in enumerate(tips):
-        found = solver.solve(solver.target(goal, arm.tolerance), previous, timeout=SECONDS)
-        switches[k], proven[k], seconds[k] = found.switches, found.certificate == "optimal", found.seconds
-        previous = found.configuration
+    given, arm = CommandLine(__doc__, goals=10_000).parse(), load(PAPER_ARM)
+    solve = by(ready_solver(arm), "minimum-switch", arm.tolerance, timeout=SECONDS)
+    trace = traced(solve, random_tips(arm.manipulator, given.goals), home(arm.manipulator))
     rows = []
-    for number in range(int(switches.max()) + 1):
-        here = switches == number
-        if here.any():
-            times = f"{1e3 * np.median(seconds[here]):.1f} / {1e3 * seconds[here].max():.1f}"
-            rows.append((number, int(here.sum()), int(proven[here].sum()), times))
+    for number in sorted({solution.switches for solution in trace.found}):
+        own = [solution for solution in trace.found if solution.switches == number]
+        proven = sum(solution.certificate == "optimal" for solution in own)
+        rows.append((number, len(own), proven, joined([solution.seconds for solution in own], "p50", "worst")))
     show(f"{given.goals} goals", ("switches", "goals", "of them proven", "time, median / most [ms]"), rows)
     write_figures(given.json, rows)
 

@@ -11,11 +11,20 @@ from hyperbit.controller.arm.arm import load
 from hyperbit.controller.armfile.settings import PlanningSettings
 from hyperbit.controller.search.search_time import TIMEOUT, UNFOUND, SearchTime
 from hyperbit.controller.search.solution import Solution
-from tests.benchmarks.harness import PAPER_ARM, CommandLine, no_collection, percentiles, show, write_figures
-from tests.benchmarks.search.goals import boundary, random
-from tests.benchmarks.solving import WARM, home, ready_solver
+from tests.benchmarks.harness import PAPER_ARM, CommandLine, no_collection, write_figures
+from tests.benchmarks.solving import (
+    POSE,
+    WARM,
+    Trace,
+    by,
+    compared,
+    home,
+    random_frames,
+    random_tips,
+    ready_solver,
+    sparse_tips,
+)
 
-POSE = 0.005, 0.03  # tolerances of poses
 ROWS = {
     "50 ms": SearchTime(TIMEOUT, most=TIMEOUT),
     "50 ms, 1 s without an answer": SearchTime(TIMEOUT, unfound=UNFOUND),
@@ -30,45 +39,31 @@ def agree(found: list[Solution]) -> None:
         raise AssertionError(f"costs and bounds contradict: {[(f.cost, f.bound) for f in found]}")
 
 
-def measured(count: int, poses: bool) -> dict[str, list[Solution]]:
+def measured(count: int, poses: bool) -> dict[str, Trace]:
     arm = load(PAPER_ARM)
     m, solver = arm.manipulator, ready_solver(arm)
-    sparse, known = count // 4, (m, solver.densities, arm.tolerance)
-    goals = np.concatenate([random(*known, count - sparse), boundary(*known, sparse)])
-    frames = m.tips(np.random.default_rng(7).integers(0, m.states, (count, len(m.states))))
-    asked = list(frames) if poses else list(np.random.default_rng(7).permutation(goals))
+    sparse = count // 4
+    places = np.concatenate([random_tips(m, count - sparse), sparse_tips(m, solver.densities, arm.tolerance, sparse)])
+    goals = list(random_frames(m, count, seed=7) if poses else np.random.default_rng(7).permutation(places))
     tolerances = POSE if poses else (arm.tolerance, np.inf)
-    solvers = {name: solver.another() for name in ROWS}
-    for each in solvers.values():
-        each.prepare()
-    previous, found = home(m), {name: list[Solution]() for name in ROWS}
+    solves = [by(solver.another(), "minimum-switch", *tolerances, timeout=timeout) for timeout in ROWS.values()]
+    previous, traces = home(m), {name: Trace() for name in ROWS}
     with no_collection():
-        for n, goal in enumerate([*asked[:WARM], *asked]):
-            answers = [
-                s.solve(s.target(goal, *tolerances), previous, timeout=ROWS[name]) for name, s in solvers.items()
-            ]
+        for n, goal in enumerate([*goals[:WARM], *goals]):
+            answers = [solve(goal, previous) for solve in solves]
             agree(answers)
             if n >= WARM:
-                for name, answer in zip(ROWS, answers, strict=True):
-                    found[name].append(answer)
-                if answers[-1].within_tolerance:
-                    previous = answers[-1].configuration
-    return found
+                for trace, answer in zip(traces.values(), answers, strict=True):
+                    trace.found.append(answer)
+                previous = answers[-1].configuration if answers[-1].within_tolerance else previous
+    return traces
 
 
 def main() -> None:
     given = CommandLine(__doc__, goals=2_000, busy=True).parse()
     figures = {}
     for kind, count in (("positions", given.goals), ("poses", max(given.goals // 5, 1))):
-        rows = []
-        for name, found in measured(count, kind == "poses").items():
-            reached, proven = (sum(getattr(f, x) is True for f in found) for x in ("within_tolerance", "optimal"))
-            both = np.mean([f.switches for f in found if f.within_tolerance])
-            times = percentiles([f.seconds for f in found], "p50", "p99", "worst")
-            rows.append((name, reached, proven, f"{both:.3f}", *(f"{t:.4g}" for t in times.values())))
-            figures[f"{kind}, {name}"] = {"reached": reached, "proven": proven, "switches": float(both)} | times
-        headers = ("time", "reached", "proven", "switches, mean", "p50 [ms]", "p99 [ms]", "worst [ms]")
-        show(f"{count} {kind}", headers, rows)
+        figures[kind] = compared(f"{count} {kind}", measured(count, kind == "poses"))
     write_figures(given.json, figures)
 
 

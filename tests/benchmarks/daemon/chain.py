@@ -1,4 +1,4 @@
-"""The parts of a running arm, each a process of its own: boards, executor, planner; and what they recorded."""
+"""A running arm whose parts are processes of their own: boards, executor and planner; and what they recorded."""
 
 import os
 import shutil
@@ -18,47 +18,39 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.network import session
 from hyperbit.controller.network.client import Client
-from tests.benchmarks.daemon.chain import records
-from tests.conftest import PAPER_ARM
+from tests.benchmarks.harness import PAPER_ARM
 from tests.endpoints import free_endpoint
 from tests.system.stack.observer import Observer
 from tests.waiting import eventually
 
-ROOT = Path(__file__).parents[4]
+ROOT = Path(__file__).parents[3]
 ENDING = 20.0  # [s] for a process to end in order
 
 
-class Parts:
-    """The arm of the paper, running; the parts end with the context, and then their records can be read.
+class Chain:
+    """The arm of the paper, running with real-time priorities. Its records can be read after the context.
 
     Args:
-        simulate: the boards are simulated in the executor's process, else in one of their own on an emulated bus.
+        fields: replace those of the arm's file.
     """
 
-    def __init__(self, *, real_time: bool = False, simulate: bool = False, **fields: Any) -> None:
-        self.folder = Path(tempfile.mkdtemp(prefix="hb"))
-        self._simulate, self._closing = simulate, ExitStack()
+    def __init__(self, **fields: Any) -> None:
+        self.folder, self._closing = Path(tempfile.mkdtemp(prefix="hb")), ExitStack()
         self.processes: dict[str, subprocess.Popen[str]] = {}
         (self.folder / "can").mkdir()
-        document = yaml.safe_load(PAPER_ARM.read_text()) | fields
+        document = yaml.safe_load(PAPER_ARM.read_text()) | {"real_time": {}} | fields
         document["buses"] = [{"name": "can0", "interface": "virtual", "channel": str(self.folder / "can")}]
-        document |= {"real_time": {}} if real_time else {}
-        if simulate:  # under load the executor may stand still for longer than the product's boards bear
-            document["boards"] = {**document["boards"], "heartbeat_timeout": 10.0}
         self.name, self.file = str(document["name"]), self.folder / "arm.yaml"
         self.file.write_text(yaml.safe_dump(document))
         self.endpoint = free_endpoint()
 
-    def __enter__(self) -> "Parts":
-        """Starts all, and waits until the planner takes goals."""
+    def __enter__(self) -> "Chain":
+        """Starts all, and waits until the arm is ready."""
         try:
-            if not self._simulate:
-                print("boards:", self.start("boards", self.folder / "can", self.file, said=True))
-            path = self.folder / "executor.sock"
-            self.start("executor", self.file, "--socket", path, *["--simulate"] * self._simulate)
-            ledger = self.folder / "ledger.sqlite"
-            words = ["--listen", self.endpoint, "--ledger", ledger, *["--simulate"] * self._simulate]
-            self.start("planner", self.file, "--socket", path, *words)
+            print("boards:", self.start("boards", self.folder / "can", self.file, said=True))
+            socket, ledger = self.folder / "executor.sock", self.folder / "ledger.sqlite"
+            self.start("executor", self.file, "--socket", socket)
+            self.start("planner", self.file, "--socket", socket, "--listen", self.endpoint, "--ledger", ledger)
             client = self.client()
             eventually(lambda: client.state["mode"] == "ready" or self._check())
         except BaseException:
@@ -75,19 +67,21 @@ class Parts:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-        self._kept = {path.stem: records.read(path) for path in self.folder.glob("*.npz")}
+        self.records: dict[str, dict[str, NDArray[np.float64]]] = {}
+        for path in self.folder.glob("*.npz"):
+            with np.load(path) as file:
+                self.records[path.stem] = {name: file[name] for name in file.files}
         if error is None and all(process.returncode == 0 for process in self.processes.values()):
             shutil.rmtree(self.folder)
         else:
             print(f"the logs are in {self.folder}", file=sys.stderr)
 
-    def start(self, module: str, *arguments: object, said: bool = False) -> str:
-        """Starts a module of this package; returns the first line that it prints, if that is to be waited for."""
+    def start(self, kind: str, *arguments: object, said: bool = False) -> str:
+        """Starts a part; returns the first line that it prints, if that is to be waited for."""
         environment = {"STATE_DIRECTORY": str(self.folder), "NOTIFY_SOCKET": ""}
-        command = [sys.executable, "-m", f"{__package__}.{module}", str(self.folder), *map(str, arguments)]
-        with (self.folder / f"{module}.log").open("w") as log:
-            process = subprocess.Popen(
-                command,
+        with (self.folder / f"{kind}.log").open("w") as log:
+            self.processes[kind] = process = subprocess.Popen(
+                [sys.executable, "-m", "tests.benchmarks.daemon.parts", kind, str(self.folder), *map(str, arguments)],
                 cwd=ROOT,
                 env=os.environ | environment,
                 stdin=subprocess.DEVNULL,
@@ -95,12 +89,7 @@ class Parts:
                 stderr=log,
                 text=True,
             )
-        self.processes[module] = process
         return process.stdout.readline().strip() if process.stdout else ""
-
-    def _check(self) -> None:
-        for process in self.processes.values():
-            assert process.poll() is None, f"process {process.args} has ended with {process.returncode}"
 
     def session(self) -> zenoh.Session:
         def connect() -> zenoh.Session | None:
@@ -117,5 +106,6 @@ class Parts:
         eventually(lambda: observer.heard["state"])
         return observer
 
-    def record(self, name: str) -> dict[str, NDArray[np.float64]]:
-        return self._kept[name]
+    def _check(self) -> None:
+        for process in self.processes.values():
+            assert process.poll() is None, f"process {process.args} has ended with {process.returncode}"
