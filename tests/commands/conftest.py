@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import math
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -12,10 +12,8 @@ import yaml
 from hyperbit.controller import cli
 from hyperbit.controller.commands.connection import connected
 from hyperbit.controller.commands.operate import demo
-from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.host.signals import ENDING
 from hyperbit.drivers.canopen.tools import session
-from hyperbit.drivers.simulation.simulation import Simulation
 from tests.endpoints import free_endpoint
 from tests.gateway.conftest import Gateway
 
@@ -54,9 +52,15 @@ def told(hyperbit) -> Told:
     return run
 
 
+@pytest.fixture(scope="session")
+def cache(tmp_path_factory):
+    """The folder in which all commands keep densities."""
+    return tmp_path_factory.mktemp("cache")
+
+
 @pytest.fixture
-def own_folders(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+def own_folders(monkeypatch, tmp_path, cache):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
 
@@ -78,35 +82,16 @@ def spatial(tmp_path):
     return str(file)
 
 
-DAEMON = pytest.StashKey[tuple[ExitStack, str]]()
-
-
-@pytest.fixture
-def endpoint(request, tmp_path_factory):
+@pytest.fixture(scope="session")
+def endpoint(tmp_path_factory, cache):
     """Endpoint of a ready daemon with simulated boards, in its own process; each test leaves it ready."""
-    if DAEMON not in request.session.stash:
-        closing = ExitStack()
-        _, endpoint = closing.enter_context(demo.started(ARM, tmp_path_factory.mktemp("daemon")))
-        request.session.stash[DAEMON] = closing, endpoint
-        with connected("planar16", endpoint, None) as client:
-            demo.wait_until_ready(client)
-    return request.session.stash[DAEMON][1]
-
-
-def pytest_runtest_teardown(item, nextitem):
-    """Ends the daemon with the tests of a folder: one that does nothing takes a tenth of a processor."""
-    if DAEMON in item.session.stash and (nextitem is None or nextitem.path.parent != item.path.parent):
-        item.session.stash[DAEMON][0].close()
-        del item.session.stash[DAEMON]
-
-
-@pytest.fixture
-def boards(arm: Path) -> Iterator[Simulation]:
-    read = read_arm(arm)
-    simulation = Simulation(read.wiring, read.timing)
-    simulation.start()
-    yield simulation
-    simulation.stop()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(cache))
+        started = demo.started(ARM, tmp_path_factory.mktemp("daemon"))
+        with started as (_, endpoint):
+            with connected("planar16", endpoint, None) as client:
+                demo.wait_until_ready(client)
+            yield endpoint
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The command line: table of commands, imports, version."""
+"""The command line: table of commands, imports, files that users name, and errors in words."""
 
 from __future__ import annotations
 
@@ -16,30 +16,29 @@ from pathlib import Path
 import pytest
 
 from hyperbit.controller import cli
-from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands.common import arm_name
 from hyperbit.controller.commands.table import GROUPS
 from hyperbit.controller.commands.use import actuators
 from hyperbit.controller.manipulator import locked
+from tests.commands.conftest import ARM
 
-ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
 HEAVY = {"numba", "numpy", "scipy", "matplotlib", "can", "canopen"}
 SLOW = {"pydantic", "rich"}  # a command that stops an arm must not wait for their import
-NOWHERE = ("--connect", "tcp/127.0.0.1:1")
 RUN = """
-import json, sys
+import contextlib, json, sys
 from hyperbit.controller import cli
-sys.argv[0] = "hyperbit"
-try:
-    cli.main()
-finally:
-    print(json.dumps(sorted(name for name in sys.modules if "." not in name)))
+for words in json.loads(sys.argv[1]):
+    sys.argv = ["hyperbit", *words]
+    with contextlib.suppress(SystemExit):
+        cli.main()
+print(json.dumps(sorted(name for name in sys.modules if "." not in name)))
 """
 
 
-def imported(*words: str) -> set[str]:
-    """Returns the top-level modules that a command imports, run in its own process."""
-    done = subprocess.run([sys.executable, "-c", RUN, *words], capture_output=True, text=True, timeout=100)
+def imported(*commands: str) -> set[str]:
+    """Returns the top-level modules that commands import, run one after another in a process of their own."""
+    words = [command.split() for command in commands]
+    done = subprocess.run([sys.executable, "-c", RUN, json.dumps(words)], capture_output=True, text=True)
     return set(json.loads(done.stdout.splitlines()[-1]))
 
 
@@ -53,9 +52,11 @@ def test_the_table_agrees_with_the_commands():
 def test_each_command_is_in_one_group_and_has_an_example_of_itself(hyperbit):
     assert sum(map(len, GROUPS.values())) == len(cli.COMMANDS)
     assert all(entry.example.split()[:2] == ["hyperbit", name] for name, entry in cli.COMMANDS.items())
-    code, out, _ = hyperbit("--help")
-    assert code == 0
-    assert [line.removesuffix(":") for line in out.splitlines() if line.removesuffix(":") in GROUPS] == list(GROUPS)
+    lines = hyperbit("--help")[1].splitlines()
+    assert [line.removesuffix(":") for line in lines if line.removesuffix(":") in GROUPS] == list(GROUPS)
+    assert set(cli.COMMANDS) <= {line.split()[0] for line in lines if line.split()}
+    for name in ("stop", "halt", "wear"):
+        assert hyperbit(name, "--help")[1].rstrip().endswith(f"Example: {cli.COMMANDS[name].example}")
 
 
 def test_the_page_of_the_commands_has_the_same_groups_and_examples():
@@ -68,79 +69,42 @@ def test_the_page_of_the_commands_has_the_same_groups_and_examples():
         assert {example for _, example in rows[title]} <= {entry.example for entry in group.values()}
 
 
-def test_the_help_of_a_command_ends_with_its_example(hyperbit):
-    for name in ("stop", "halt", "wear"):
-        assert hyperbit(name, "--help")[1].rstrip().endswith(f"Example: {cli.COMMANDS[name].example}")
-
-
 @pytest.mark.parametrize(
-    ("words", "completed"),
-    [("hyperbit st", "stop"), ("hyperbit stop --js", "--json"), ("hyperbit send --path", "--path-tolerance")],
-)
-def test_bash_completes_commands_and_options(words, completed):
-    asked = {"_HYPERBIT_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
-    run = [
-        sys.executable,
-        "-c",
-        "import sys; sys.argv[0] = 'hyperbit'; from hyperbit.controller.cli import main; main()",
-    ]
-    done = subprocess.run(run, capture_output=True, text=True, timeout=100, env={**os.environ, **asked})
-    assert done.stdout.split() == [completed], done.stderr
-
-
-@pytest.mark.parametrize("words", [("--help",), ("--version",)])
-def test_help_and_version_import_no_command(words):
-    assert imported(*words).isdisjoint({*HEAVY, "zenoh", "yaml", "msgspec"})
-
-
-@pytest.mark.parametrize(
-    "words",
+    ("commands", "without"),
     [
-        ("stop", "--help"),
-        ("stop", str(ARM), *NOWHERE),
-        ("cancel", str(ARM), *NOWHERE),
-        ("reset", str(ARM), *NOWHERE),
-        ("watch", str(ARM), *NOWHERE),
-        ("send", str(ARM), "--to", "1,2", *NOWHERE),
-        ("lock", str(ARM), "5.left=free", *NOWHERE),
-        ("jog", str(ARM), "5.left=extended", *NOWHERE),
-        ("obstacles", str(ARM), "--none", *NOWHERE),
+        (["--help", "--version"], {*HEAVY, "zenoh", "yaml", "msgspec"}),
+        ([f"{name} planar16 NOWHERE" for name in ("stop", "cancel", "reset")], {*HEAVY, *SLOW, "yaml"}),
+        (["halt planar16 --socket /nonexistent/a.sock"], {*HEAVY, *SLOW, "yaml", "zenoh"}),
+        (["wear ARM --ledger /nonexistent/none.sqlite"], {"numba", "scipy", "zenoh"}),
+        (
+            [
+                "stop --help",
+                *(f"{name} ARM NOWHERE" for name in ("stop", "cancel", "reset", "watch")),
+                "send ARM --to 1,2 NOWHERE",
+                "lock ARM 5.left=free NOWHERE",
+                "jog ARM 5.left=extended NOWHERE",
+                "obstacles ARM --none NOWHERE",
+            ],
+            HEAVY,
+        ),
     ],
+    ids=["help", "stops", "halt", "wear", "requests"],
 )
-def test_commands_to_a_daemon_import_no_kernels(words):
-    assert imported(*words).isdisjoint(HEAVY)
-
-
-@pytest.mark.parametrize("command", ["stop", "cancel", "reset"])
-def test_commands_that_stop_an_arm_import_only_needed_modules(command):
-    found = imported(command, "planar16", *NOWHERE)
-    assert "zenoh" in found
-    assert found.isdisjoint({*HEAVY, *SLOW, "yaml"})
-
-
-def test_a_halt_does_not_import_zenoh():
-    words = ("halt", "planar16", "--socket", "/nonexistent/a.sock")
-    assert imported(*words).isdisjoint({*HEAVY, *SLOW, "yaml", "zenoh"})
-
-
-def test_wear_imports_no_kernels(tmp_path):
-    assert imported("wear", str(ARM), "--ledger", str(tmp_path / "none.sqlite")).isdisjoint({"numba", "scipy", "zenoh"})
-
-
-def test_typed_values_are_still_checked(hyperbit):
-    code, out, err = hyperbit("send", str(ARM), "--to", "1,2", "--path-tolerance", "near", *NOWHERE)
-    assert (code, out) == (2, "")
-    assert "--path-tolerance" in err
+def test_commands_import_only_what_they_need(commands, without):
+    found = imported(*(it.replace("ARM", str(ARM)).replace("NOWHERE", "--connect tcp/127.0.0.1:1") for it in commands))
+    assert found.isdisjoint(without), found & without
+    assert ("zenoh" in found) == any("NOWHERE" in it for it in commands)
 
 
 def test_the_version_is_that_of_the_package(hyperbit):
     assert hyperbit("--version") == (0, f"hyperbit {version('hyperbit')}\n", "")
 
 
-def test_a_mistyped_command_is_unusable_input(hyperbit):
-    code, out, err = hyperbit("stpo")
-    assert (code, out) == (2, "")
-    assert "'stop'" in err
+def test_bash_asks_the_command_itself():
+    asked = {"_HYPERBIT_COMPLETE": "complete_bash", "COMP_WORDS": "hyperbit st", "COMP_CWORD": "1"}
+    run = "import sys; sys.argv[0] = 'hyperbit'; from hyperbit.controller.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", run], capture_output=True, text=True, env={**os.environ, **asked})
+    assert done.stdout.split() == ["stop"], done.stderr
 
 
 def test_an_arm_is_a_file_only_if_it_is_a_regular_file(monkeypatch, tmp_path):
@@ -151,39 +115,65 @@ def test_an_arm_is_a_file_only_if_it_is_a_regular_file(monkeypatch, tmp_path):
     assert arm_name("arm") == "planar16"
 
 
-@pytest.mark.parametrize(
-    ("text", "fault"),
-    [
-        ("", "is empty"),
-        ("- 1", "name: required, but missing"),
-        ("name: a/b", "name: "),
-        ("name: [a]", "name: "),
-        ("name: {", "is not YAML"),
-    ],
-)
-def test_a_file_without_a_name_is_unusable_input(tmp_path, text, fault):
-    file = tmp_path / "arm.yaml"
-    file.write_text(text)
-    with pytest.raises(InputFaults, match=fault):
-        arm_name(str(file))
-    with pytest.raises(InputFaults, match="no such file"):
-        arm_name(str(tmp_path / "missing.yaml"))
-
-
 def test_states_have_the_names_of_the_arm():
     assert actuators.STATES == locked.STATES
 
 
-def test_a_command_that_finds_no_folder_says_what_to_do(hyperbit, monkeypatch):
-    def refuse(path: object) -> None:
-        raise RuntimeError("cannot cache function 'f': no locator available for file 'f.py'")
+READERS = {
+    "arm": ("check", "FILE"),
+    "wiring": ("check", str(ARM), "--eds", "FILE"),
+    "goals": ("plan", str(ARM), "--goals", "FILE"),
+    "goal": ("send", "planar16", "FILE"),
+    "obstacles": ("obstacles", "planar16", "FILE"),
+    "samples": ("calibrate", str(ARM), "FILE"),
+    "people": ("panel", "--people", "FILE"),
+    "Zenoh": ("stop", "planar16", "--zenoh", "FILE"),
+    "recording": ("replay", "FILE"),
+}
 
-    monkeypatch.setattr("hyperbit.controller.arm.arm.load", refuse)
-    code, _, err = hyperbit("check", str(ARM))
-    assert (code, err) == (
-        1,
-        "numba cannot write its machine code: set NUMBA_CACHE_DIR to a folder that you can write\n",
-    )
+
+def endless(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(1 << 40)
+
+
+NO_FILES = {
+    "directory": (Path.mkdir, "cannot be read: it is a directory, no file"),
+    "device": (lambda path: path.symlink_to("/dev/zero"), "cannot be read: it is a device, no file"),
+    "pipe": (os.mkfifo, "cannot be read: it is a pipe, no file"),
+    "without an end": (endless, "MB, the most for such a file; is it the right file?"),
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_what_is_no_file_or_has_no_end_is_refused_and_nothing_waits_for_it(told, tmp_path, name):
+    for kind, (make, sentence) in NO_FILES.items():
+        if (name, kind) != ("recording", "without an end"):
+            path = tmp_path / kind.replace(" ", "-")
+            make(path)
+            words = [str(path) if word == "FILE" else word for word in READERS[name]]
+            assert sentence in told(*words, code=2).replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (
+            RuntimeError("cannot cache function 'f': no locator available for file 'f.py'"),
+            "numba cannot write its machine code: set NUMBA_CACHE_DIR to a folder that you can write\n",
+        ),
+        (
+            OSError(errno.ENOSPC, "No space left on device", "/out.png"),
+            "/out.png: No space left on device\nNext: free it, and start the command again\n",
+        ),
+    ],
+)
+def test_an_error_of_the_computer_is_told_with_what_to_do(hyperbit, monkeypatch, error, words):
+    def failing(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("hyperbit.controller.commands.study.report.load", failing)
+    assert hyperbit("fk", str(ARM), "0") == (1, "", words)
 
 
 def test_a_file_that_ends_too_early_is_an_error_with_its_place(hyperbit, monkeypatch):
@@ -192,22 +182,11 @@ def test_a_file_that_ends_too_early_is_an_error_with_its_place(hyperbit, monkeyp
 
     monkeypatch.setattr("hyperbit.controller.commands.study.report.load", damaged)
     with pytest.raises(RuntimeError, match="a file ends too early: Ran out of input"):
-        hyperbit("fk", "deploy/planar16.yaml", "0")
+        hyperbit("fk", str(ARM), "0")
 
 
-def test_a_full_disk_is_told_in_words(hyperbit, monkeypatch):
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device", "/out.png")
-
-    monkeypatch.setattr("hyperbit.controller.commands.study.report.load", full)
-    code, _, err = hyperbit("fk", "deploy/planar16.yaml", "0")
-    assert (code, err) == (1, "/out.png: No space left on device\nNext: free it, and start the command again\n")
-
-
-@pytest.mark.parametrize("encoding", ["latin-1", "ascii"])
-def test_terminals_that_are_not_utf8_show_tables(tmp_path, encoding):
-    environment = {**os.environ, "PYTHONIOENCODING": encoding}
+def test_terminals_that_are_not_utf8_show_tables():
     command = [sys.executable, "-m", "hyperbit", "plan", str(ARM), "--configuration", "0" * 16]
-    done = subprocess.run(command, capture_output=True, env=environment)
+    done = subprocess.run(command, capture_output=True, env={**os.environ, "PYTHONIOENCODING": "ascii"})
     assert (done.returncode, done.stderr) == (0, b"")
     assert b"th [rad]" in done.stdout

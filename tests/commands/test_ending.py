@@ -1,4 +1,4 @@
-"""The ends of commands that run until a signal: in order by a hang-up and SIGTERM, and on by an ignored hang-up.
+"""Commands that run until a signal: their ends by a hang-up and SIGTERM, also at a terminal that stands still.
 
 One function handles all signals, see tests/host/test_signals.py; only uvicorn, below the panel, tells them apart.
 """
@@ -13,23 +13,26 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 
 import pytest
+import zenoh
 
+from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.commands.operate import demo
+from hyperbit.controller.network.session import configuration
+from tests.commands.conftest import ARM
 from tests.endpoints import free_endpoint
-from tests.keys import DEPLOY
 from tests.network.played import PlayedArm, Router
 from tests.recorder.samples import written
 from tests.system.stack import arms
+from tests.system.stack.processes import Nursery, Process
 from tests.waiting import PATIENCE, eventually
 
-PAPER = str(DEPLOY / "planar16.yaml")
 SERVING = {  # by command: its words, a text of its output once it serves
-    "execute": ("execute {paper} --simulate --socket {folder} --journal {folder}/journal", "simulated in this process"),
+    "execute": ("execute {arm} --simulate --socket {folder} --journal {folder}/journal", "simulated in this process"),
     "panel": ("panel --listen 127.0.0.1:0 --connect {endpoint}", "hyperbit panel, viewer"),
     "record": ("record a --folder {folder}/recordings --connect {endpoint}", "nobody listens at"),
     "replay": ("replay {folder}/a.mcap --stay --listen {endpoint}", "replaying"),
@@ -38,53 +41,54 @@ SERVING = {  # by command: its words, a text of its output once it serves
     "run": ("run {folder}/arm.yaml --simulate --listen {endpoint} --ledger {folder}/l.db", "serving the arm"),
     "simulate": ("simulate {folder}/arm.yaml", "faults to type"),
 }
-FOLLOWING = {"watch": "watch a --json --connect {there}", "fleet": "fleet --follow --connect {there}"}
-Start = Callable[..., subprocess.Popen[bytes]]
+FOLLOWING = {"watch": "watch a --json --connect {endpoint}", "fleet": "fleet --follow --connect {endpoint}"}
 
 
-@pytest.fixture(scope="session")
-def densities(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("cache")
+@pytest.fixture(scope="module")
+def nursery(cache: Path) -> Iterator[Nursery]:
+    nursery = Nursery("hyperbit", {"XDG_CACHE_HOME": str(cache), "PYTHONUNBUFFERED": "1"})
+    yield nursery
+    nursery.close()
+
+
+class Commands:
+    """Starts commands as processes; they are killed at the end."""
+
+    def __init__(self, nursery: Nursery, folder: Path, stack: ExitStack) -> None:
+        self.folder, self.log, self.endpoint = folder, folder / "log", free_endpoint()
+        self._nursery, self._stack, self._ended = nursery, stack, folder / "ended"
+        written(folder / "a.mcap").close()
+        arms.write(folder, "planar", "shown", {"interface": "virtual", "channel": "can0"}, {"boards": arms.QUICK})
+
+    def up(self, words: str, until: str = "", log: str = "", **environment: str) -> Process:
+        """Starts a command, with its output in a file or terminal, and waits until it has printed a text."""
+        environment |= dict.fromkeys(("STATE_DIRECTORY", "RUNTIME_DIRECTORY"), str(self.folder))
+        environment["ENDED"] = str(self._ended)
+        values = {"arm": ARM, "folder": self.folder, "endpoint": self.endpoint}
+        process = self._nursery.start(words.format(**values).split(), Path(log or self.log), environment)
+        self._stack.callback(process.kill)
+        eventually(lambda: not process.alive or until in self.said(), told=self.said)
+        assert process.alive, self.said()
+        return process
+
+    def said(self) -> str:
+        return self.log.read_text(errors="replace") if self.log.exists() else ""  # a character may be half read
+
+    def ended(self, process: Process) -> int:
+        """Waits for the end of a command; returns its exit code."""
+        process.gone()
+        assert "Traceback" not in self.said()
+        return int(self._ended.read_text())
 
 
 @pytest.fixture
-def start(tmp_path: Path, densities: Path) -> Iterator[Start]:
-    """Runs a command in a process of its own, with SIGHUP ignored or not, until its log has a text."""
-    written(tmp_path / "a.mcap").close()
-    arms.write(tmp_path, "planar", "shown", {"interface": "virtual", "channel": "can0"}, {"boards": arms.QUICK})
-    values = {"paper": PAPER, "folder": str(tmp_path), "endpoint": free_endpoint()}
-    environment = {
-        **os.environ, "XDG_CACHE_HOME": str(densities), "STATE_DIRECTORY": str(tmp_path),
-        "RUNTIME_DIRECTORY": str(tmp_path), "PYTHONUNBUFFERED": "1",
-    }  # fmt: skip
-    begin = (
-        "import signal, sys; signal.signal(signal.SIGHUP, signal.{}); from hyperbit.controller.cli import main; main()"
-    )
-    with ExitStack() as closing:
-
-        def run(
-            words: str, until: str, *, nohup: bool = False, terminal: int | None = None, **more: str
-        ) -> subprocess.Popen[bytes]:
-            command = [sys.executable, "-c", begin.format("SIG_IGN" if nohup else "SIG_DFL")]
-            command += words.format(**values, **more).split()
-            log = tmp_path / "log"
-            output = closing.enter_context(log.open("wb")) if terminal is None else terminal
-            process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, env=environment, process_group=0
-            )
-            closing.callback(process.wait)
-            closing.callback(process.kill)
-            said = partial(log.read_text, errors="replace")  # a character may be half read
-            eventually(lambda: process.poll() is not None or until in said(), told=said)
-            assert process.poll() is None, said()
-            return process
-
-        yield run
+def commands(nursery: Nursery, tmp_path: Path, stack: ExitStack) -> Commands:
+    return Commands(nursery, tmp_path, stack)
 
 
-def has(process: subprocess.Popen[bytes], mask: str, number: signal.Signals) -> bool:
+def has(pid: int, mask: str, number: signal.Signals) -> bool:
     """Returns whether a process ignores a signal, with the mask SigIgn, or handles it, with SigCgt."""
-    found = re.search(rf"{mask}:\s*([0-9a-f]+)", Path(f"/proc/{process.pid}/status").read_text())
+    found = re.search(rf"{mask}:\s*([0-9a-f]+)", Path(f"/proc/{pid}/status").read_text())
     return found is not None and bool(int(found[1], 16) >> (number - 1) & 1)
 
 
@@ -92,47 +96,15 @@ def has(process: subprocess.Popen[bytes], mask: str, number: signal.Signals) -> 
     ("command", "number"),
     [*((command, signal.SIGHUP) for command in SERVING), ("panel", signal.SIGINT), ("panel", signal.SIGTERM)],
 )
-def test_a_signal_ends_a_command_in_order(start: Start, tmp_path: Path, command: str, number: signal.Signals) -> None:
-    process = start(*SERVING[command])
+def test_a_signal_ends_a_command_in_order(commands: Commands, command: str, number: signal.Signals) -> None:
+    process = commands.up(*SERVING[command])
     os.killpg(process.pid, number)
-    assert process.wait(PATIENCE) == 0
-    assert "Traceback" not in (tmp_path / "log").read_text()
-
-
-@pytest.mark.parametrize("command", SERVING)
-def test_an_ignored_hang_up_ends_no_command_and_sigterm_does(start: Start, tmp_path: Path, command: str) -> None:
-    process = start(*SERVING[command], nohup=True)
-    assert has(process, "SigIgn", signal.SIGHUP)
-    os.killpg(process.pid, signal.SIGHUP)
-    os.killpg(process.pid, signal.SIGTERM)
-    assert process.wait(PATIENCE) == 0
-    assert "Traceback" not in (tmp_path / "log").read_text()
-
-
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
-@pytest.mark.parametrize("command", FOLLOWING)
-def test_a_signal_ends_what_follows_an_arm(
-    start: Start, tmp_path: Path, command: str, number: signal.Signals, code: int
-) -> None:
-    with ExitStack() as closing:
-        router = Router(closing)
-        arm = PlayedArm(closing, router.client())
-        arm.state()
-        process = start(FOLLOWING[command], "", there=router.endpoint)
-
-        def heard() -> bool:
-            arm.state()
-            return "ready" in (tmp_path / "log").read_text()
-
-        eventually(heard)
-        os.killpg(process.pid, number)
-        assert process.wait(PATIENCE) == code
-        assert "Traceback" not in (tmp_path / "log").read_text()
+    assert commands.ended(process) == 0
 
 
 @pytest.fixture
-def terminal(tmp_path: Path) -> Iterator[tuple[int, int]]:
-    """Both ends of a terminal, the user's first. Its output goes to the log. Ask for it before `start`."""
+def terminal(tmp_path: Path) -> Iterator[tuple[int, str]]:
+    """The user's end of a terminal, and the path of the other end. Its output goes to the log."""
     user, program = pty.openpty()
 
     def read() -> None:
@@ -142,22 +114,43 @@ def terminal(tmp_path: Path) -> Iterator[tuple[int, int]]:
 
     reading = threading.Thread(target=read)
     reading.start()
-    yield user, program
+    yield user, os.ttyname(program)
     os.close(program)
     reading.join()
     os.close(user)
 
 
 @pytest.mark.parametrize("command", SERVING)
-def test_a_paused_terminal_keeps_no_command_from_its_end(
-    terminal: tuple[int, int], start: Start, tmp_path: Path, command: str
+def test_an_ignored_hang_up_ends_no_command_and_sigterm_does_at_a_paused_terminal(
+    terminal: tuple[int, str], commands: Commands, command: str
 ) -> None:
-    user, program = terminal
-    process = start(*SERVING[command], terminal=program)
+    user, name = terminal
+    process = commands.up(*SERVING[command], log=name, NOHUP="1")
+    assert has(process.pid, "SigIgn", signal.SIGHUP)
+    os.killpg(process.pid, signal.SIGHUP)
     os.write(user, b"\x13")  # Ctrl-S
-    process.terminate()
-    assert process.wait(PATIENCE) == 0
-    assert "Traceback" not in (tmp_path / "log").read_text()
+    process.send(signal.SIGTERM)
+    assert commands.ended(process) == 0
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+@pytest.mark.parametrize("command", FOLLOWING)
+def test_a_signal_ends_what_follows_an_arm(
+    commands: Commands, stack: ExitStack, command: str, number: signal.Signals, code: int
+) -> None:
+    router = Router(stack)
+    commands.endpoint = router.endpoint
+    arm = PlayedArm(stack, router.client())
+    arm.state()
+    process = commands.up(FOLLOWING[command])
+
+    def heard() -> bool:
+        arm.state()
+        return "ready" in commands.said()
+
+    eventually(heard, told=commands.said)
+    os.killpg(process.pid, number)
+    assert commands.ended(process) == code
 
 
 @pytest.mark.parametrize("missing", [(0,), (1,), (2,), (0, 1, 2)])
@@ -166,11 +159,11 @@ def test_missing_streams_are_replaced(tmp_path: Path, missing: tuple[int, ...]) 
         for number in missing:
             os.close(number)
 
-    command = [sys.executable, "-m", "hyperbit", "execute", PAPER, "--simulate", "--socket", str(tmp_path)]
+    command = [sys.executable, "-m", "hyperbit", "execute", str(ARM), "--simulate", "--socket", str(tmp_path)]
     command += ["--journal", str(tmp_path / "journal")]
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, preexec_fn=close)
     try:
-        eventually(lambda: list(tmp_path.glob("*.sock")) and has(process, "SigCgt", signal.SIGTERM))
+        eventually(lambda: list(tmp_path.glob("*.sock")) and has(process.pid, "SigCgt", signal.SIGTERM))
         links = [os.readlink(f"/proc/{process.pid}/fd/{number}") for number in missing]
         process.terminate()
         assert process.wait(PATIENCE) == 0
@@ -180,14 +173,45 @@ def test_missing_streams_are_replaced(tmp_path: Path, missing: tuple[int, ...]) 
         process.wait()
 
 
-def test_a_demo_that_is_ended_ends_its_daemon(start: Start) -> None:
-    process = start("demo {paper}", "")
+def children(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def test_a_demo_that_is_ended_ends_its_daemon(commands: Commands) -> None:
+    process = commands.up("demo {arm}")
     (daemon,) = eventually(lambda: children(process.pid))
     eventually(lambda: children(daemon))  # the demo is past the start of its daemon
-    process.send_signal(signal.SIGHUP)
-    assert process.wait(PATIENCE) == 128 + signal.SIGHUP
+    process.send(signal.SIGHUP)
+    assert commands.ended(process) == 128 + signal.SIGHUP
     assert not Path(f"/proc/{daemon}").exists()
 
 
-def children(pid: int) -> list[int]:
-    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+def test_a_recording_is_replayed_to_its_end(commands: Commands) -> None:
+    recording = commands.folder / "a.mcap"
+    recording.write_bytes(recording.read_bytes()[:-20])
+    words = "replay {folder}/a.mcap --speed 1000 --listen unixsock-stream/{folder}/z.sock"
+    process = commands.up(words)
+    assert commands.ended(process) == 0
+    assert "is incomplete: its readable part is replayed" in commands.said()
+
+
+def test_a_daemon_joins_a_router_that_comes_later_and_again_after_its_loss(commands: Commands) -> None:
+    words = "run {folder}/arm.yaml --simulate --connect {endpoint} --ledger {folder}/ledger.sqlite"
+    commands.up(words, "waiting for the Zenoh router")
+    router, target = configuration("router", listen=commands.endpoint), "0" * 15 + "2"
+    for _ in range(2):
+        with zenoh.open(router), connected("shown", commands.endpoint, None) as client:
+            eventually(client.alive)
+            demo.wait_until_ready(client)
+            assert client.run({"waypoints": [{"position": [0.5, 2.8]}]})["status"] == "succeeded"
+            client.request("goal", {"waypoints": [{"configuration": target, "t": 1.0}]})
+    with zenoh.open(router), connected("shown", commands.endpoint, None) as client:
+        eventually(client.alive)  # it has finished the goal without the router, or does so now
+        eventually(lambda: client.next_message("state")["configuration"] == target)
+
+
+def test_two_clients_meet_at_a_router(commands: Commands) -> None:
+    commands.up(*SERVING["router"])
+    one, other = (zenoh.open(configuration("client", connect=commands.endpoint)) for _ in range(2))
+    with one, other, one.liveliness().declare_token("hyperbit/a/alive"):
+        eventually(lambda: [it for it in other.liveliness().get("hyperbit/*/alive") if it.ok])

@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
@@ -19,8 +14,8 @@ from msgspec import Struct
 from hyperbit.controller.armfile.documents import read_yaml
 from hyperbit.controller.armfile.patience import patient_copy
 from hyperbit.controller.armfile.settings import ArmSettings
-from tests.network.played import free_endpoint
-from tests.waiting import eventually
+from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.commands.operate import demo
 
 FILE = Path(__file__).with_name("every_field.yaml")
 JOINT = "x,y,th\n0.03,0.09,-0.3\n0.01,0.09,-0.1\n-0.01,0.09,0.1\n-0.03,0.09,0.3\n"
@@ -34,20 +29,6 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "tables" / "joint.csv").write_text(JOINT)
     (folder / "every.yaml").write_text(FILE.read_text())
     return folder / "every.yaml"
-
-
-@pytest.fixture
-def ran(arm: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Any:
-    """Runs a command in a process of its own; returns its output. It must succeed."""
-
-    def run(*words: str) -> str:
-        environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "XDG_STATE_HOME": str(tmp_path)}
-        command = [sys.executable, "-m", "hyperbit", *words]
-        done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=tmp_path)
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
-
-    return run
 
 
 def missing(value: Any, kind: Any, path: str = "") -> Iterator[str]:
@@ -78,13 +59,24 @@ def test_the_file_has_every_field_of_the_reference() -> None:
     assert not [name for name in found if not any(field in name for field in SPATIAL)], found
 
 
-def test_commands_without_a_daemon(ran: Any, arm: Path, tmp_path: Path) -> None:
+@pytest.fixture
+def ran(hyperbit, tmp_path: Path, own_folders: None, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
+    """Runs a command, which must succeed; returns its output."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words: str) -> str:
+        code, out, err = hyperbit(*words)
+        assert code == 0, f"{words}: {out}{err}"
+        return out
+
+    return run
+
+
+def test_commands_without_a_daemon(ran: Callable[..., str], arm: Path, tmp_path: Path) -> None:
     file = str(arm)
     assert json.loads(ran("check", file, "--json", "--picture", "arm.png"))["warnings"] == []
-    told = json.loads(ran("fk", file, "0,0,0,0,0,0,0,0", "--json"))
-    goal = ",".join(str(x) for x in told["position"])
-    planned = json.loads(ran("plan", file, "--goal", goal, "--json", "--deadline", "2"))
-    assert planned["within_tolerance"]
+    goal = ",".join(str(x) for x in json.loads(ran("fk", file, "0,0,0,0,0,0,0,0", "--json"))["position"])
+    assert json.loads(ran("plan", file, "--goal", goal, "--json", "--deadline", "2"))["within_tolerance"]
     ran("map", file)
     ran("workspace", file, "--at", goal, "--samples", "5")
     (tmp_path / "goals.csv").write_text(f"x,y\n{goal}\n")
@@ -94,38 +86,22 @@ def test_commands_without_a_daemon(ran: Any, arm: Path, tmp_path: Path) -> None:
     assert json.loads(ran("check", str(copy), "--json"))["ok"]
 
 
-def test_commands_of_a_running_arm(ran: Any, arm: Path, tmp_path: Path) -> None:
-    endpoint, log = free_endpoint(), tmp_path / "log"
-    there = ("--connect", endpoint)
-    environment = {**os.environ, "RUNTIME_DIRECTORY": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
-    command = [sys.executable, "-m", "hyperbit", "run", str(arm), "--simulate", "--listen", endpoint]
-    with ExitStack() as closing, log.open("w") as output:
-        daemon = subprocess.Popen(
-            [*command, "--ledger", str(tmp_path / "ledger.sqlite")],
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=output,
-            env=environment,
-        )
-        closing.callback(daemon.wait, 60)
-        closing.callback(daemon.send_signal, signal.SIGTERM)
-        eventually(lambda: "ready: holding" in log.read_text() or daemon.poll() is not None, 90, told=log.read_text)
-        eventually(lambda: "serving the arm" in log.read_text() or daemon.poll() is not None, 90, told=log.read_text)
-        assert "wrong-device" not in log.read_text()
-        assert "every" in ran("fleet", *there)
-        ran("send", "every", "--configuration", "01010100", *there)
-        ran("jog", "every", "2.1=extended", *there)
-        ran("lock", "every", "5.1=contracted", *there)
-        ran("lock", "every", "5.1=free", *there)
-        ran("obstacles", "every", *there)
-        ran("poses", "every", "--save", "here", *there)
-        ran("fault", "every", "close", "door", *there)
-        ran("exercise", "every", "1.left", "2.1", "--json", "--yes", *there)
-        ran("stop", "every", *there)
-        ran("reset", "every", *there)
-        ran("cancel", "every", *there)
-    assert "switches" in ran("wear", "--ledger", str(tmp_path / "ledger.sqlite"), str(arm))
-
-
-def test_the_demo(ran: Any, arm: Path) -> None:
-    ran("demo", str(arm), "--picture", "demo.png")
+def test_commands_of_a_running_arm(ran: Callable[..., str], arm: Path, tmp_path: Path) -> None:
+    with demo.started(arm, tmp_path) as (_, endpoint):
+        with connected("every", endpoint, None) as client:
+            demo.wait_until_ready(client)
+        for words in (
+            "fleet",
+            "send every --configuration 01010100",
+            "jog every 2.1=extended",
+            "lock every 5.1=contracted",
+            "lock every 5.1=free",
+            "obstacles every",
+            "poses every --save here",
+            "fault every close door",
+            "exercise every 1.left 2.1 --json --yes",
+            "stop every",
+            "reset every",
+            "cancel every",
+        ):
+            ran(*words.split(), "--connect", endpoint)
