@@ -27,6 +27,7 @@ MESSAGES_A_SEED = 3_000  # of a world of ROS 2
 # Tests of each room, the likely finders first. The simulation has run before. A file belongs to its innermost room.
 _OF_BOARDS = ("tests/drivers", "tests/second_opinion", "tests/executor")
 TESTS = {
+    "controller/commands": ("tests/commands",),
     "controller/executor/arm": ("tests/executor",),
     "controller/executor/core": ("tests/executor", "tests/fuzz"),
     "controller/executor/motion": ("tests/executor",),

