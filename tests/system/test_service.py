@@ -15,9 +15,7 @@ import zenoh
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.gateway import daemon
-from hyperbit.controller.gateway.daemon import AlreadyRunning
-from hyperbit.controller.host.keeper import FileInUse
-from hyperbit.controller.network.client import Client, Message, Unanswered
+from hyperbit.controller.network.client import Client, Message
 from hyperbit.controller.network.session import configuration
 from tests.system.stack.motions import Motions
 from tests.system.stack.observer import Observer
@@ -60,54 +58,6 @@ def test_diagnostics_tell_of_loop_bus_boards_and_queues(client: Observer, arm: A
     assert set(it["queues"]) == {"inbox", "outbox", "planning"}
     assert it["ledger"] == "ok"
     assert it["real_time"] == "off"
-
-
-def test_state_comes_steadily_and_on_change(client: Observer) -> None:
-    begun = len(client.heard["state"])
-    eventually(lambda: len(client.heard["state"]) > begun + 40)
-    client.move(LEFT)
-    client.move(MIDDLE, goal="a")
-    assert any(state["goal"] == "a" for state in client.heard["state"])
-
-
-def test_a_wildcard_may_stop_and_ask_and_nothing_else(client: Observer, system: System, stack: ExitStack) -> None:
-    client.goal(MIDDLE, LEFT, times=[0, HOUR], id="a")
-    session = stack.enter_context(system.session())
-    replies = [r.ok for r in session.get("hyperbit/**", timeout=PATIENCE) if r.ok]
-    answers = {str(ok.key_expr).rpartition("/")[2]: json.loads(ok.payload.to_bytes()) for ok in replies}
-    assert answers["arm"]["name"] == system.name
-    named = ("goal", "jog", "reset", "degrade", "obstacles")
-    for key in (*named, "cancel", "stop"):  # `**` does not name the commands that it matches
-        assert answers[key]["accepted"] is False
-        assert "must be named" in answers[key]["message"]
-    goal = json.dumps({"waypoints": [{"position": RIGHT}]})
-    for key in named:
-        session.put(f"hyperbit/*/{key}", goal)
-    eventually(lambda: len(client.results(None)) >= len(named))
-    assert client.wait_now("executing")["goal"] == "a"
-    replies = [reply.ok for reply in session.get("hyperbit/*/stop", timeout=PATIENCE) if reply.ok]
-    assert [json.loads(ok.payload.to_bytes())["accepted"] for ok in replies] == [True]
-    client.wait_now("stopped")
-    client.reset()
-
-
-def test_a_second_daemon_of_the_arm_does_not_start(client: Observer, system: System) -> None:
-    """Neither on the same ledger, nor in the same network."""
-    with pytest.raises(FileInUse), system.serving(configuration("peer"), system.ledger):
-        pass
-    elsewhere = system.folder / "other.sqlite"
-    with pytest.raises(AlreadyRunning, match=f"process {os.getpid()} on "), system.serving(system.clients(), elsewhere):
-        pass
-    client.move(RIGHT)
-    client.move(MIDDLE, goal="b")
-
-
-def test_a_second_executor_of_the_arm_does_not_start(client: Observer, system: System) -> None:
-    command = [sys.executable, "-m", "hyperbit.controller.executor", str(system.file), "--socket", str(system.socket)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, cwd=ROOT)
-    assert (done.returncode, "an executor is running on" in done.stderr) == (1, True)
-    client.move(RIGHT)
-    client.move(MIDDLE, goal="b")
 
 
 def test_a_flood_is_refused_and_a_stop_gets_through(client: Observer, system: System, stack: ExitStack) -> None:
@@ -161,53 +111,6 @@ def test_frozen_and_slow_readers_delay_nobody(client: Observer, system: System, 
         reader.communicate()
 
 
-def test_a_client_asks_again_when_nobody_answers(client: Observer, system: System, stack: ExitStack) -> None:
-    """Known defects of Zenoh's routing lose a query; the next attempt, or a new session, gets an answer."""
-    opened = stack.enter_context(system.session())
-    lossy = Lossy(opened, losses=3)
-    asking = Client(lossy, system.name, system.session)  # type: ignore[arg-type]
-    stack.callback(asking.close)
-    client.sent["again"] = client.times["state"][-1]
-    result = asking.run({"id": "again", "waypoints": [{"position": RIGHT}]})
-    assert (result["status"], lossy.losses) == ("succeeded", 0)
-    client.accepted.append("again")
-
-
-class Lossy:
-    """A session whose first queries reach no daemon."""
-
-    def __init__(self, session: zenoh.Session, losses: int) -> None:
-        self._session, self.losses = session, losses
-
-    def get(self, key: str, **options: object) -> object:
-        if self.losses > 0:
-            self.losses -= 1
-            return []
-        return self._session.get(key, **options)  # type: ignore[arg-type]
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._session, name)
-
-
-def test_nobody_there_is_said_after_the_timeout(client: Observer, system: System, stack: ExitStack) -> None:
-    lonely = Client(stack.enter_context(system.session()), "other")
-    with pytest.raises(Unanswered, match="no daemon for arm 'other' answered on hyperbit/other/arm"):
-        lonely.request("arm", timeout=1.0)
-    assert not lonely.alive()
-
-
-@pytest.mark.fresh
-def test_the_token_tells_that_the_daemon_is_there_and_no_thread_is_left(system: System) -> None:
-    before = {thread.name for thread in threading.enumerate()}
-    system.start()
-    with system.client() as client:
-        eventually(lambda: client.client.alive())
-        client.move(MIDDLE)
-        system.end_planner()
-        eventually(lambda: not client.client.alive())
-    eventually(lambda: {thread.name for thread in threading.enumerate()} <= before)
-
-
 @pytest.mark.fresh
 def test_a_client_that_hears_a_state_is_answered(system: System, monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[Message] = []
@@ -235,13 +138,17 @@ def test_a_client_that_hears_a_state_is_answered(system: System, monkeypatch: py
 
 @pytest.mark.fresh
 def test_a_planner_that_comes_back_finds_the_arm_as_it_is(system: System, motions: Motions) -> None:
+    threads = {thread.name for thread in threading.enumerate()}
     system.start()
     with system.client() as client:
         client.move(RIGHT)
+        eventually(lambda: client.client.alive())
         client.goal(MIDDLE, LEFT, times=[HOUR, 2 * HOUR], id="never")
         before, switches = system.boards.positions().tolist(), system.boards.switches().tolist()
         system.end_planner()
         assert client.result("never")["message"] == "the daemon is shutting down"
+        eventually(lambda: not client.client.alive())
+    eventually(lambda: {thread.name for thread in threading.enumerate()} <= threads)
     motions.clear()
     system.start_planner()
     with system.client() as client:

@@ -6,6 +6,7 @@ from contextlib import ExitStack
 
 import pytest
 
+from hyperbit.controller.commands.use.halt import halt_local
 from hyperbit.controller.network import session
 from tests.system.stack.arms import QUICK
 from tests.system.stack.lives import Lives
@@ -28,11 +29,7 @@ def test_in_motion_following_in_a_fault_and_while_booting(lives: Lives, victim: 
     lives.disturb(victim, number)
     assert client.result(goal)["status"] == "aborted"
     lives.ready()
-    lives.motions.agree(boards)
-    before = boards.switches().tolist()
-    state = client.wait_now("ready")
-    assert boards.switches().tolist() == before
-    assert state["commanded"] == state["measured"] == boards.positions().astype(int).tolist()
+    lives.rests()
     lives.move("after motion", MIDDLE)
 
     # Following: a stream has no result, and the arm rests when it has ended.
@@ -42,10 +39,7 @@ def test_in_motion_following_in_a_fault_and_while_booting(lives: Lives, victim: 
         lives.disturb(victim, number)
     eventually(lambda: not client.diagnosed()["setpoint"]["alive"])  # a stopped planner has caught up
     lives.ready()
-    lives.motions.agree(boards)
-    before = boards.switches().tolist()
-    client.wait_now("ready")
-    assert boards.switches().tolist() == before
+    lives.rests()
     assert len(client.first_results()) == told
     lives.move("after following", LEFT)
 
@@ -84,56 +78,41 @@ def test_boards_hold_when_the_executor_is_killed_in_the_middle_of_a_goal(lives: 
     assert client.state["mode"] != "ready"
 
 
-def test_a_stopped_planner_has_its_goal_ended_and_carries_out_a_stop_when_it_goes_on(
-    lives: Lives, system: System
+@pytest.mark.parametrize("lease", [session.LEASE, None], ids=["for longer than its lease", "and is asked to stop"])
+def test_a_stopped_planner_has_its_goal_ended_and_tells_so_when_it_goes_on(
+    system: System, stack: ExitStack, lease: float | None
 ) -> None:
+    lives = Lives(system, stack, lease) if lease else Lives(system, stack)
     client = lives.client
-    lives.move("before", LEFT)
-    goal = lives.send("passed", MIDDLE, RIGHT, times=[0.0, HOUR])
-    lives.begun()
-    system.planner.freeze()
-    with lives.operator() as operator:
-        eventually(lambda: operator.snapshot().mode == "ready")
-    lives.motions.agree(system.boards)
-    before = system.boards.switches().tolist()
-    lives.session.put(f"hyperbit/{system.name}/stop", b"")
-    system.planner.thaw()
-    assert client.result(goal)["status"] == "aborted"
-    client.wait_now("stopped")
-    assert system.boards.switches().tolist() == before
-    client.reset()
-    lives.move("after", LEFT)
-    lives.check()
-
-
-def test_the_result_of_a_planner_that_stood_still_for_longer_than_its_lease_is_heard(
-    system: System, stack: ExitStack
-) -> None:
-    """Takes longer than Zenoh's lease, 10 s."""
-    lives = Lives(system, stack, session.LEASE)
     goal = lives.send("passed", MIDDLE, RIGHT, times=[0.0, HOUR])
     lives.begun()
     system.planner.freeze()
     with lives.operator() as operator:  # the executor may wait for the planner for longer than the lease
         eventually(lambda: operator.snapshot().mode == "ready")
-    eventually(lambda: not lives.client.client.alive())
+    lives.motions.agree(system.boards)
+    before = system.boards.switches().tolist()
+    if lease:
+        eventually(lambda: not client.client.alive())
+    else:
+        lives.session.put(f"hyperbit/{system.name}/stop", b"")
     system.planner.thaw()
-    assert lives.client.result(goal)["status"] == "aborted"
+    assert client.result(goal)["status"] == "aborted"
+    if not lease:
+        client.wait_now("stopped")
+        assert system.boards.switches().tolist() == before
+        client.reset()
     lives.move("after", LEFT)
     lives.check()
 
 
 def test_a_local_halt_works_while_the_planner_is_stopped(lives: Lives, system: System) -> None:
-    from hyperbit.controller.commands.use.halt import halt_local
-
     client = lives.client
     goal = lives.send("a", MIDDLE, RIGHT, times=[0.0, HOUR])
     eventually(lambda: client.feedback(goal))
     system.planner.freeze()
     assert "stopped" in halt_local(system.name, system.socket)[0].message
     with lives.operator() as operator:
-        snapshot = operator.wait_for("stopped")
-        assert snapshot.program == -1
+        assert operator.wait_for("stopped").program == -1
     system.planner.thaw()
     assert client.result(goal)["status"] == "aborted"
     refused = client.goal(LEFT, id="b")

@@ -1,6 +1,5 @@
 """Obstacles, sent over Zenoh or in the arm's file; the arm avoids them, or holds and says why."""
 
-import json
 from contextlib import ExitStack
 from itertools import pairwise
 
@@ -129,26 +128,17 @@ def test_regions_that_come_during_motion_are_kept_out_of_from_then_on(
     keep_out(client)
 
 
-def test_an_arm_that_stands_in_a_region_says_so_and_takes_goals_when_it_is_gone(client: Observer) -> None:
+def test_an_arm_that_stands_in_a_region_says_so_and_malformed_regions_change_nothing(client: Observer) -> None:
     client.move(MIDDLE)
     assert "where the arm stands" in keep_out(client, {"disc": {"centre": list(MIDDLE), "radius": 0.1}, "name": "hand"})
     eventually(lambda: "in-obstacle" in client.codes)
+    for payload in ({}, {"regions": [{}]}, {"regions": [CRATE, CRATE]}, {"regions": [], "more": 1}):
+        assert client.client.request("obstacles", payload)["accepted"] is False
     refused = client.goal(LEFT)
     assert (refused["accepted"], "disc 'hand'" in refused["message"]) == (False, True)
     keep_out(client)
     eventually(lambda: not client.codes)
     client.move(LEFT, goal="b")
-
-
-def test_what_is_malformed_changes_nothing(client: Observer, system: System, stack: ExitStack) -> None:
-    client.move(MIDDLE)
-    keep_out(client, CRATE)
-    for payload in ({}, {"regions": [{}]}, {"regions": [CRATE, CRATE]}, {"regions": [], "more": 1}):
-        assert client.client.request("obstacles", payload)["accepted"] is False
-    assert client.goal(RIGHT)["accepted"] is False
-    session = stack.enter_context(system.session())
-    session.put(f"hyperbit/{system.name}/obstacles", json.dumps({"regions": []}))
-    eventually(lambda: client.goal(RIGHT, id=f"a{len(client.heard['state'])}")["accepted"])
 
 
 @pytest.mark.arm(obstacles=[WALL])

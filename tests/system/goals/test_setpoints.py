@@ -71,7 +71,9 @@ def _near(client: Observer, goal: tuple[float, float]) -> bool:
     return tip is not None and bool(np.linalg.norm(np.subtract(tip["position"], goal)) < 0.02)
 
 
-def test_bad_setpoints_alone_move_nothing(client: Observer, publisher: Publisher, motions: Motions) -> None:
+def test_bad_setpoints_and_those_out_of_reach_move_nothing(
+    client: Observer, publisher: Publisher, motions: Motions
+) -> None:
     motions.clear()
     refused = publisher.status()["refused"]
 
@@ -80,18 +82,12 @@ def test_bad_setpoints_alone_move_nothing(client: Observer, publisher: Publisher
             publisher.put(payload)
         return bool(publisher.status()["refused"] > refused)
 
-    eventually(told)
-    assert client.wait_now("ready")["mode"] == "ready"
-    assert motions.still()
-
-
-def test_out_of_reach_is_said_and_moves_nothing(client: Observer, publisher: Publisher, motions: Motions) -> None:
-    motions.clear()
-
     def said() -> bool:
         publisher.put({"position": (9.0, 9.0)})
         return any("out of reach" in state["reason"] for state in client.heard["state"])
 
+    eventually(told)
+    assert client.wait_now("ready")["mode"] == "ready"
     eventually(said)
     client.wait_now("ready")
     assert motions.still()

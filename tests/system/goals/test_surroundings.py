@@ -16,6 +16,7 @@ from hyperbit.controller.host.keeper import write_whole
 from hyperbit.controller.network import session
 from hyperbit.controller.planning.ledger_file import read
 from tests.system.stack.lives import Lives
+from tests.system.stack.observer import Observer
 from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT
 from tests.system.stack.system import System
 from tests.waiting import SLOWNESS, eventually
@@ -54,9 +55,9 @@ def test_a_clock_that_is_set_moves_nothing_and_ends_no_goal(clock: Callable[[flo
         answer = client.goal(RIGHT, LEFT, MIDDLE, times=[0.0, 1.0, 2.0], stamp=stamp, id=f"a{number}")
         assert answer["accepted"], answer
         eventually(lambda number=number: client.feedback(f"a{number}"))
-        began, told = time.monotonic(), len(client.heard["state"])
+        began, since = time.monotonic(), len(client.heard["state"])
         ahead = clock(hours * HOUR)
-        eventually(lambda told=told: any(named(state, "clock-set") for state in client.heard["state"][told:]))
+        eventually(lambda since=since: any("clock-set" in str(it["faults"]) for it in client.heard["state"][since:]))
         assert client.result(f"a{number}")["status"] == "succeeded"
         assert time.monotonic() - began < HOUR / 2, "the other waypoints come by the steady clock"
         state = client.wait_now("ready")
@@ -68,8 +69,8 @@ def test_a_clock_that_is_set_moves_nothing_and_ends_no_goal(clock: Callable[[flo
     assert lives.motions.switched.sum() == sum(result["switches"] for result in client.heard["result"])
 
 
-def named(state: dict[str, Any], code: str) -> bool:
-    return code in [fault["code"] for fault in state["faults"]]
+def told(client: Observer, code: str) -> str:
+    return next(fault["message"] for fault in client.state["faults"] if fault["code"] == code)
 
 
 @pytest.fixture
@@ -100,8 +101,7 @@ def test_a_full_disk_is_told_and_the_arm_goes_on(system: System, disk: Path) -> 
             client.move((LEFT, RIGHT)[number % 2], goal=goal)
             if "ledger-unwritten" in client.codes:
                 break
-        full = next(fault["message"] for fault in client.state["faults"] if fault["code"] == "ledger-unwritten")
-        assert "full" in full
+        assert "full" in told(client, "ledger-unwritten")
         assert client.wait_now("ready")["goal"] is None
         (disk / "filler").unlink()
         eventually(lambda: not client.codes)
@@ -119,42 +119,26 @@ def test_a_ledger_that_cannot_be_written_stops_no_arm(system: System) -> None:
 
 
 @pytest.mark.fresh
-def test_a_damaged_ledger_is_moved_aside_and_no_switch_is_forgotten(system: System) -> None:
-    """Neither during operation nor at a restart; the executor's journal has the counts as well."""
+@pytest.mark.parametrize("damaged", ["*.sqlite*", "*.switches"])
+def test_of_ledger_and_journal_one_may_be_damaged_and_no_switch_is_forgotten(system: System, damaged: str) -> None:
     system.start()
     with system.client() as client:
         client.move(RIGHT, goal="before")
-        eventually(lambda: written(system.ledger)[0])
+        eventually(lambda: system.counts() == system.boards.switches().tolist())
     system.end_planner()
     system.executor.end()
-    for part in system.ledger.parent.glob(f"{system.ledger.name}*"):
+    for part in system.folder.glob(damaged):
         part.write_bytes(b"\x5a" * part.stat().st_size)
     system.start()
     with system.client() as client:
         client.move(LEFT, goal="after")
-        eventually(lambda: "ledger-damaged" in client.codes)
-        damage = next(fault["message"] for fault in client.state["faults"] if fault["code"] == "ledger-damaged")
-        assert "a new one was begun" in damage
+        if damaged == "*.switches":
+            assert "was damaged" in (system.folder / "executor.log").read_text()
+        else:
+            eventually(lambda: "ledger-damaged" in client.codes)
+            assert "a new one was begun" in told(client, "ledger-damaged")
         assert client.wait_now("ready")["goal"] is None
         eventually(lambda: system.counts() == system.boards.switches().tolist())
-
-
-@pytest.mark.fresh
-def test_a_damaged_journal_is_told_and_the_ledger_has_the_counts(system: System) -> None:
-    system.start()
-    with system.client() as client:
-        client.move(RIGHT, goal="before")
-        eventually(lambda: system.counts() == system.boards.switches().tolist())
-    system.end_planner()
-    system.executor.end()
-    (journal,) = system.folder.glob("*.switches")
-    journal.write_bytes(b"\x5a" * journal.stat().st_size)
-    system.start()
-    with system.client() as client:
-        client.move(LEFT, goal="after")
-        assert client.wait_now("ready")["mode"] == "ready"
-        eventually(lambda: system.counts() == system.boards.switches().tolist())
-    assert "was damaged" in (system.folder / "executor.log").read_text()
 
 
 @pytest.mark.fresh

@@ -8,7 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
 from hyperbit.controller.network.client import Message, Unanswered
@@ -22,44 +22,31 @@ FAR_AWAY = {"half_plane": {"point": [-30.0, 0.0], "normal": [1.0, 0.0]}, "name":
 ACTION, EVENT = ("before", "after", "later"), ("before", "within", "after", "later")
 PASSED = 10.0 * SLOWNESS  # [s]
 MOST_REFUSED = 5
-ZIGZAG = [0.08 * SLOWNESS * k for k in range(30)]
 
 
-class Moment(NamedTuple):
-    """A moment.
+class Scene:
+    """The requests of one moment, some of which are never answered, because the planner is killed.
 
     Attributes:
-        steps: of the trigger; "later" is a random time after "after".
-        count: most times that a step is reached before the kill.
-        latest: longest random time of "later" [s].
+        goals: ids of goals and jogs, and whether a client received their acceptance.
     """
 
-    steps: tuple[str, ...]
-    count: int
-    latest: float
-    scene: Callable[[Scene], AbstractContextManager[None]]
-
-
-class Requests:
-    """Sends requests of which some are never answered, because the planner is killed."""
-
-    def __init__(self, lives: Lives) -> None:
-        self._lives, self.refusals = lives, list[str]()
+    def __init__(self, lives: Lives, chance: random.Random, name: str) -> None:
+        self.lives, self.chance, self.name = lives, chance, name
+        self.goals, self.refusals = dict[str, bool](), list[str]()
         self._threads: list[threading.Thread] = []
-        self._goals: dict[str, bool] = {}
         self._answered_at = math.inf  # time of the last answer [s]
 
     def send(self, key: str, **payload: Any) -> bool | None:
         """Sends a request, and returns whether it was accepted; None if there is no answer."""
         answer: Message = {}
         with suppress(Unanswered):
-            answer = self._lives.client.ask(key, **payload)
-        goal = answer.get("id") or payload.get("id")
+            answer = self.lives.client.ask(key, **payload)
+        goal, accepted = answer.get("id") or payload.get("id"), answer.get("accepted")
         if key in ("goal", "jog") and goal:
-            self._goals[goal] = answer.get("accepted", False)
-        if answer and not answer["accepted"]:
+            self.goals[goal] = bool(accepted)
+        if accepted is False:
             self.refusals.append(answer["message"])
-        accepted: bool | None = answer.get("accepted")
         return accepted
 
     def queue(self, *requests: dict[str, Any]) -> None:
@@ -81,91 +68,74 @@ class Requests:
         return time.monotonic() > self._answered_at + PASSED
 
     def join(self) -> None:
-        """Waits until all requests are answered, or will not be."""
         for thread in self._threads:
             thread.join()
 
-    def goals(self) -> dict[str, bool]:
-        """Returns the ids of goals and jogs, and whether a client received their acceptance."""
-        return dict(self._goals)
-
-
-class Scene(NamedTuple):
-    lives: Lives
-    requests: Requests
-    chance: random.Random
-    name: str
-
     def goal(self, suffix: str, count: int, last: float | None = None) -> dict[str, Any]:
         """A goal of waypoints as fast as the arm may follow, and one at a time `last`."""
-        times = [*ZIGZAG[:count], *([] if last is None else [last])]
+        times = [*(0.08 * SLOWNESS * k for k in range(count)), *([] if last is None else [last])]
         first = self.chance.randrange(3)
-        places = [(LEFT, RIGHT, MIDDLE)[(first + k) % 3] for k in range(len(times))]
-        points = [{"t": time, "position": list(place)} for time, place in zip(times, places, strict=True)]
+        points = [{"t": t, "position": (LEFT, RIGHT, MIDDLE)[(first + k) % 3]} for k, t in enumerate(times)]
         return {"key": "goal", "id": f"{self.name} {suffix}", "waypoints": points}
 
-    def label(self) -> str:
+    def measured(self) -> dict[str, int]:
+        """The state of each actuator."""
         labels = self.lives.system.arm.manipulator.actuators
-        return labels[self.chance.randrange(len(labels))]
+        return dict(zip(labels, self.lives.client.state["measured"], strict=True))
 
 
-@contextmanager
-def two_goals(scene: Scene) -> Iterator[None]:
+def two_goals(scene: Scene) -> None:
     """A goal that a second one replaces; the second one ends by itself."""
-    scene.requests.queue(scene.goal("a", 30, HOUR), scene.goal("b", 4))
-    yield
+    scene.queue(scene.goal("a", 30, HOUR), scene.goal("b", 4))
 
 
-@contextmanager
-def a_goal(scene: Scene) -> Iterator[None]:
+def a_goal(scene: Scene) -> None:
     """A goal that does not end by itself."""
-    scene.requests.queue(scene.goal("a", 30, HOUR))
-    yield
+    scene.queue(scene.goal("a", 30, HOUR))
 
 
-@contextmanager
-def changed_obstacles(scene: Scene) -> Iterator[None]:
+def changed_obstacles(scene: Scene) -> None:
     """Obstacles that change in the middle of a goal: stages are withdrawn, checked, and sent again."""
-    scene.requests.queue(scene.goal("a", 30, HOUR), {"key": "obstacles", "regions": [FAR_AWAY]})
-    yield
+    scene.queue(scene.goal("a", 30, HOUR), {"key": "obstacles", "regions": [FAR_AWAY]})
 
 
-@contextmanager
-def a_stream(scene: Scene) -> Iterator[None]:
-    """A goal, and a stream of set-points after it."""
-    scene.requests.send(**scene.goal("a", 2))
-    with scene.lives.publisher().streaming():
-        yield
+def jogs(scene: Scene) -> None:
+    """A jog of one actuator, and of a second one."""
+    chosen = scene.chance.sample(sorted(scene.measured().items()), 2)
+    scene.queue(*({"key": "jog", "actuators": {label: ("extended", "contracted")[k]}} for label, k in chosen))
 
 
-@contextmanager
-def jogs(scene: Scene) -> Iterator[None]:
-    """A jog of several actuators, and a second one."""
-    labels = scene.chance.sample(list(scene.lives.system.arm.manipulator.actuators), 2)
-    measured = scene.lives.client.state["measured"]
-    states = {label: measured[scene.lives.system.arm.manipulator.actuators.index(label)] for label in labels}
-    wanted = [{label: ("extended", "contracted")[states[label]]} for label in labels]
-    scene.requests.queue(*({"key": "jog", "actuators": actuators} for actuators in wanted))
-    yield
-
-
-@contextmanager
-def a_lock(scene: Scene) -> Iterator[None]:
+def a_lock(scene: Scene) -> None:
     """An actuator that is locked, at rest or in the middle of a goal."""
-    label, arm = scene.label(), scene.lives.system.arm
-    state = scene.lives.client.state["measured"][arm.manipulator.actuators.index(label)]
-    goal = scene.goal("a", *((30, HOUR) if scene.chance.random() < 0.5 else (2,)))  # type: ignore[arg-type]
-    scene.requests.queue(goal, {"key": "degrade", "actuator": label, "state": state})
-    yield
+    label, state = scene.chance.choice(sorted(scene.measured().items()))
+    goal = scene.goal("a", 30, HOUR) if scene.chance.random() < 0.5 else scene.goal("a", 2)
+    scene.queue(goal, {"key": "degrade", "actuator": label, "state": state})
 
 
-@contextmanager
-def a_shutdown(scene: Scene) -> Iterator[None]:
+def a_shutdown(scene: Scene) -> None:
     """The end of the planner in the middle of a goal."""
-    scene.requests.send(**scene.goal("a", 30, HOUR))
+    scene.send(**scene.goal("a", 30, HOUR))
     scene.lives.begun()
     scene.lives.system.planner.send(signal.SIGTERM)
-    yield
+
+
+def a_goal_before_a_stream(scene: Scene) -> None:
+    scene.send(**scene.goal("a", 2))
+
+
+class Moment(NamedTuple):
+    """A moment.
+
+    Attributes:
+        steps: of the trigger; "later" is a random time after "after".
+        count: most times that a step is reached before the kill.
+        latest: longest random time of "later" [s].
+    """
+
+    steps: tuple[str, ...]
+    count: int
+    latest: float
+    begin: Callable[[Scene], None]
 
 
 MOMENTS = {
@@ -176,13 +146,25 @@ MOMENTS = {
     "ended": Moment(EVENT, 2, 0.03, two_goals),
     "published": Moment(("unmarked", "marked", "put", *EVENT), 2, 0.03, two_goals),
     "acknowledged": Moment(ACTION, 2, 0.03, two_goals),
-    "following": Moment(ACTION, 15, 0.05, a_stream),
+    "following": Moment(ACTION, 15, 0.05, a_goal_before_a_stream),
     "jogging": Moment(ACTION, 2, 0.1, jogs),
     "locking": Moment(ACTION, 1, 1.0, a_lock),
     "obstacles": Moment(ACTION, 1, 0.1, changed_obstacles),
     "shutdown": Moment(EVENT, 1, 0.3, a_shutdown),
 }
 TRIGGERS = {"jogging": "offered"}  # moments of the trigger by another name
+
+
+@contextmanager
+def played(moment: str, scene: Scene) -> Iterator[None]:
+    """Brings a moment about; a stream of set-points lasts as long as the context."""
+    MOMENTS[moment].begin(scene)
+    if moment == "following":
+        with scene.lives.publisher().streaming():
+            yield
+    else:
+        yield
+    scene.join()
 
 
 def ordered(moment: str, victim: str, chance: random.Random, planner: int, executor: int) -> Order:

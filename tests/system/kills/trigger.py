@@ -1,12 +1,14 @@
 """Kills processes when the planner's loop reaches a chosen step. Runs in the planner's process, for tests only.
 
-A test sends an order through a socket in the folder of the arm, and gets a line when the order is in force.
+A test sends an order through a socket in the folder of the arm, and gets a line when the order is in force. The nursery
+of such planners: python -m tests.system.kills.trigger planner ARM.yaml
 """
 
 import json
 import os
 import signal
 import socket
+import sys
 import threading
 import time
 from pathlib import Path
@@ -28,6 +30,7 @@ from hyperbit.controller.planning.core.tasks import BuildScene
 from hyperbit.controller.planning.ledger import PublishedResults
 from hyperbit.controller.planning.loop import Loop
 from hyperbit.controller.program import Accepted, Acknowledge, Ended, Lock, Program, Replacement, Setpoint, Settled
+from tests.system.stack import nursery
 
 SOCKET, MARK = "kills.sock", "KILLS"
 RECONNECTED = 0.5  # [s] instead of 5: the clients of these tests are connected before the planner starts
@@ -147,3 +150,14 @@ def moment_of_action(action: Action) -> str | None:
     if isinstance(action, ToExecutor):
         return SENT.get(type(action.message))
     return "obstacles" if isinstance(action, Start) and isinstance(action.task, BuildScene) else None
+
+
+def run(arguments: list[str]) -> int:
+    """The process of `hyperbit run`, with a trigger."""
+    install(Path(os.environ["STATE_DIRECTORY"]))
+    return nursery.run(arguments)
+
+
+if __name__ == "__main__":
+    nursery.COMMANDS["planner"] = run
+    nursery.main(*sys.argv[1:])

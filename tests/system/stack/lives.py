@@ -77,6 +77,15 @@ class Lives:
         times = [*(0.08 * k for k in range(30)), HOUR]
         return self.send(name, *((LEFT, RIGHT, MIDDLE)[k % 3] for k in range(31)), times=times)
 
+    def rests(self) -> None:
+        """Asserts that nothing moves by itself, and that the state of the ready arm is that of the boards."""
+        boards = self.system.boards
+        self.motions.agree(boards)
+        before = boards.switches().tolist()
+        state = self.ready()
+        assert boards.switches().tolist() == before, "nothing moved by itself"
+        assert state["commanded"] == state["measured"] == boards.positions().astype(int).tolist()
+
     def begun(self) -> None:
         before = self.motions.switched.sum()
 
