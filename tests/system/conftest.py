@@ -6,7 +6,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import can
 import pytest
 
 from hyperbit.controller.arm.arm import Arm
@@ -19,7 +18,7 @@ from tests.system.stack import (
     patience,  # noqa: F401
 )
 from tests.system.stack.lives import Lives
-from tests.system.stack.motions import Motions
+from tests.system.stack.motions import Listener, Motions
 from tests.system.stack.observer import Observer
 from tests.system.stack.processes import Nursery
 from tests.system.stack.system import System, settled
@@ -175,13 +174,13 @@ def interface(system: System) -> Interface | vcan.Interface:
 
 
 @pytest.fixture
-def listener(system: System) -> Iterator[can.BusABC]:
+def listener(system: System) -> Iterator[Listener]:
     with system.listener() as listening:
         yield listening
 
 
 @pytest.fixture
-def motions(system: System, listener: can.BusABC) -> Motions:
+def motions(system: System, listener: Listener) -> Motions:
     motions = Motions(system.wiring, listener, system.interface.flush, system.drives())
     motions.begin(system.boards)
     return motions

@@ -106,12 +106,7 @@ class Campaign:
         killed = killed_in(planner.log)
         command(system, order)
         with played(moment, scene):
-
-            def over() -> bool:
-                lives.motions.read()  # a listener that nobody reads loses frames
-                return bool(killed() or scene.over() or not planner.alive)
-
-            eventually(over, told=system.logs)
+            eventually(lambda: killed() or scene.over() or not planner.alive, told=system.logs)
             if moment == "shutdown" and not killed():
                 planner.gone()
             if hit := killed():

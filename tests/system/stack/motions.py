@@ -1,5 +1,7 @@
 """Motion, read from the frames on the bus alone, and whether it was requested."""
 
+import threading
+from collections import deque
 from collections.abc import Callable, Sequence
 
 import can
@@ -19,6 +21,37 @@ MASTER_LOST = bytes([0x30, 0x81])  # of an emergency
 SLACK = 1.0  # [s] by which a busy machine may receive a frame later than a result
 
 
+class Listener:
+    """Receives all frames of a bus, in a thread as well, because a socket that nobody reads loses frames."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self._bus, self._heard = bus, deque[can.Message | can.CanOperationError]()
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._thread = threading.Thread(target=self._read, name="listener", daemon=True)
+        self._thread.start()
+
+    def recv(self) -> can.Message | None:
+        """Returns the next frame, None if there is none; never waits."""
+        with self._lock:
+            heard = self._heard.popleft() if self._heard else self._bus.recv(0)
+        if isinstance(heard, can.CanOperationError):
+            raise heard
+        return heard
+
+    def close(self) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _read(self) -> None:
+        while not self._over.wait(0.05):
+            with self._lock:
+                try:
+                    while (frame := self._bus.recv(0)) is not None:
+                        self._heard.append(frame)
+                except can.CanOperationError as error:
+                    self._heard.append(error)
+
+
 class Motions:
     """Follows the outputs of all boards, from the frames on one bus.
 
@@ -33,7 +66,7 @@ class Motions:
     """
 
     def __init__(
-        self, wiring: Wiring, listener: can.BusABC, flush: Callable[[], None], outputs: Sequence[int] = ()
+        self, wiring: Wiring, listener: Listener, flush: Callable[[], None], outputs: Sequence[int] = ()
     ) -> None:
         self.listener, self._flush, self._layout = listener, flush, lay_out(wiring)
         boards = self._layout.boards
@@ -57,7 +90,7 @@ class Motions:
         """Reads the frames since the last call, all that were sent by now."""
         self._flush()
         try:
-            while not self.deaf and (frame := self.listener.recv(0)) is not None:
+            while not self.deaf and (frame := self.listener.recv()) is not None:
                 if not frame.is_error_frame:
                     self.identifiers.append(frame.arbitration_id)
                     self._take(frame.arbitration_id, bytes(frame.data), frame.timestamp)

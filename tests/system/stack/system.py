@@ -7,7 +7,7 @@ import shutil
 import signal
 import tempfile
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from hyperbit.drivers.simulation.simulation import Simulation
 from tests import emulated, vcan
 from tests.endpoints import free_endpoint
 from tests.system.stack import arms
+from tests.system.stack.motions import Listener
 from tests.system.stack.observer import Observer
 from tests.system.stack.processes import Nursery, Process, tail
 from tests.waiting import PATIENCE, eventually
@@ -177,11 +178,12 @@ class System:
             yield observer
 
     @contextmanager
-    def listener(self) -> Iterator[can.BusABC]:
+    def listener(self) -> Iterator[Listener]:
         """Receives all frames on the bus from now on."""
         with can.Bus(interface=self.bus.interface, channel=self.bus.channel, ignore_config=True) as listening:
             vcan.make_room(listening)
-            yield listening
+            with closing(Listener(listening)) as listener:
+                yield listener
 
     def drives(self) -> list[int]:
         with self.boards.lock:
