@@ -1,10 +1,9 @@
 """The arm of the paper and its densities, for every room's tests."""
 
 import gc
-import os
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -28,26 +27,11 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 BUSES = ("virtual", "socketcan")
 pytest_plugins = ["tests.forks"]
-STARTED_BY = "HYPERBIT_TESTS"  # environment variable: the process of pytest
 PAPER_ARM = Path(__file__).parents[1] / "deploy" / "planar16.yaml"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--bus", choices=BUSES, help="the only bus for tests that run on several")
-
-
-def pytest_configure() -> None:
-    """Marks all processes that tests start, by their environment."""
-    os.environ[STARTED_BY] = str(os.getpid())
-
-
-def pytest_unconfigure() -> None:
-    """Kills what tests have started and left, as a test does that hangs."""
-    mark = f"{STARTED_BY}={os.getpid()}".encode()
-    for environment in Path("/proc").glob("[0-9]*/environ"):
-        with suppress(OSError):  # it has ended, or is of another user
-            if mark in environment.read_bytes().split(b"\0"):
-                os.kill(int(environment.parent.name), signal.SIGKILL)
 
 
 def pytest_collection_finish() -> None:
