@@ -30,9 +30,10 @@ def run_a_program(world: World) -> None:
     """Makes the scripted planner send a program, which ends with a result."""
     planner, record = world.planner, world.record
     assert isinstance(planner, ScriptedPlanner)
+    strict = world.drawn_half()
     for _ in range(MOST_PROGRAMS):
         world.wait(world.settled, "ready", world.ready_within)
-        key = record.instance, planner.ask_for_motion()
+        key = record.instance, planner.ask_for_motion(strict)
         world.pass_time(0.1)
         if key in record.programs:
             break

@@ -195,11 +195,13 @@ class ScriptedPlanner:
             for k in free[:1]:
                 self.connection.send(Lock(self._next(), k, -1))
 
-    def ask_for_motion(self) -> int:
-        """Sends one correct program; returns its number."""
+    def ask_for_motion(self, strict: bool | None = None) -> int:
+        """Sends one correct program; returns its number. `strict`: None to draw it."""
         assert self.snapshot is not None
         self._number += 1
         self._drawn = self._author.program(self.snapshot, self._number, self._agenda.now)
+        if strict is not None:
+            self._drawn.program = replace(self._drawn.program, strict=strict)
         self.connection.send(self._drawn.program)
         self._wanted = self._number
         return self._number

@@ -12,12 +12,14 @@ from hyperbit.controller.host.process import Quit
 from hyperbit.controller.program import (
     Accepted,
     Acknowledge,
+    Answer,
     Begun,
     Cancel,
     Clearance,
     Counts,
     Ended,
     Hello,
+    Lock,
     Program,
     Question,
     Replaced,
@@ -171,6 +173,7 @@ class Account(Witness):
         order: number of the events that executors took so far.
         owed: results of this process that the planner has not acknowledged, by number.
         questions: number of the questions to planners so far.
+        held: mask of the actuators that the file or a request has locked in their `held_states`.
         ordered: NMT state of each board before the first NMT command of this process to it.
         quitting: the process was asked to end in order.
         ordered_end: its end has come.
@@ -268,6 +271,7 @@ class Account(Witness):
         self.heard_at: dict[str, float] = {}
         self.knows_open = self.questioned = self.ordered_end = False
         self.ordered.clear()
+        self.held, self.held_states = self.arm.declared
         self.running: Motion | None = None
         self.followed: list[Motion] = []
         self._commanded: dict[str, Sync] = {}  # RPDOs of each bus that were handed out last
@@ -385,6 +389,11 @@ class Account(Witness):
 
     def tells(self, client: ClientId, message: Up) -> None:
         self.see("tells", client, message)
+        lock = self.message
+        if isinstance(message, Answer) and message.accepted and isinstance(lock, Lock) and client == self.planner:
+            bit, on = 1 << lock.actuator, -1 if lock.state > 0 else 0
+            self.held = self.held & ~bit | (bit if lock.state >= 0 else 0)
+            self.held_states = merged(bit, on, self.held_states)
         if isinstance(message, Welcome):
             self.roles[client] = self._hellos[client]
             if self.roles[client] == "planner":

@@ -55,6 +55,9 @@ class PinsHaveACause(Statement):
         if account.quitting and account.arm.contracts_at_end:
             stages.append(0)
         asked = any(not (switch.after ^ states) & sure for states in stages)
+        loose = switch.mask & account.held & ~account.missed & (switch.after ^ account.held_states)
+        loose &= switch.after ^ account.arm.measured(*account.pins[-1][3:], account.held_states)
+        self.require(not loose, f"{text}; {loose:b} are locked")
         self.require(asked or not sure, lambda: f"{text}; asked for are {[f'{states:b}' for states in stages]}")
 
 

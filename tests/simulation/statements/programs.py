@@ -77,7 +77,7 @@ class ValidProgramsRun(Statement):
             return
         if isinstance(message, Accepted):
             self._declined[program.strict] = 0
-        elif account.world.daemon is None and account.mode == "ready" and account.clear:
+        elif account.world.daemon is None and account.world.planner.calm and account.mode == "ready" and account.clear:
             self._declined[program.strict] += 1
             count = self._declined[program.strict]
             self.require(count < 4, f"{count} programs in a row are declined, strict: {program.strict}: {message}")
@@ -223,12 +223,14 @@ class StrictStagesWait(Statement):
 
     def switches(self, switch: Switch) -> None:
         account, sync = self.account, switch.sync
-        if switch.cause != "SYNC" or sync is None or sync.program is None or not account.clear:
+        if switch.cause != "SYNC" or sync is None or sync.program is None:
             return
         motion, mask = account.programs.get(sync.program), switch.mask & ~account.locked & ~account.homing
         if not mask or motion is None or not sync.strict:
             return
         self.require(sync.commanded_at < self._asked_at, f"{mask:b} switch while question {self._question} is open")
+        if not account.clear:
+            return
         travels = [
             k
             for k in range(account.arm.count)

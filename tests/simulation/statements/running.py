@@ -82,10 +82,13 @@ class AnEndInOrderLeavesTheArmAtRest(Statement):
 
     def __init__(self, account: Account) -> None:
         super().__init__(account)
-        self._hurried = self._held = False
+        self._hurried = self._held = self._warned = False
 
     def started(self) -> None:
-        self._hurried = self._held = False
+        self._hurried = self._held = self._warned = False
+
+    def logs(self, level: int, text: str) -> None:
+        self._warned |= "contract" in text and "before the end" in text
 
     def hurries(self) -> None:
         self._hurried = True
@@ -99,13 +102,14 @@ class AnEndInOrderLeavesTheArmAtRest(Statement):
 
     def killed(self) -> None:
         account, pins = self.account, self.account.pins[-1]
-        if not account.ordered_end or not account.clear or self._hurried:
+        if not account.ordered_end or self._hurried:
             return
-        on = pins.on & mask_of(account.arm.pulse)
-        self.require(not on, f"the executor has ended, and the pulses of {on:b} are on")
+        if account.clear:
+            on = pins.on & mask_of(account.arm.pulse)
+            self.require(not on, f"the executor has ended, and the pulses of {on:b} are on")
         if account.arm.contracts_at_end and not self._held:
-            left = pins.states & ~account.locked & ~account.homing
-            self.require(not left, f"the executor has ended, and {left:b} are not contracted")
+            left = pins.states & ~account.locked & ~account.homing & ~account.missed & ~account.fallen
+            self.require(not left or self._warned, f"the executor has ended, and {left:b} are not contracted")
 
 
 class NoDefect(Statement):
