@@ -210,10 +210,12 @@ def run(trial: Trial) -> Verdict:
 def _boot(bench: Bench, injection: Injection, failure: Failure) -> Iterator[str]:
     found, struck = _picture(bench), injection.struck
     bench.call(lambda master: master.boot(bench.now))
-    over = lambda: injection.over or not injection.struck  # noqa: E731
-    ended = bench.until(
-        lambda: over() and bench.running is not None and not bench.stalled and not bench.master.booting, LONGEST_BOOT
-    )
+
+    def over() -> bool:
+        rests = bench.running is not None and not bench.stalled and not bench.master.booting
+        return rests and (injection.over or not injection.struck)
+
+    ended = bench.until(over, LONGEST_BOOT)
     if not ended:
         yield "the boot does not end"
     yield from _unclear_sentences(bench.master, failure)
