@@ -142,7 +142,7 @@ def _fault(arm: UsedArm, name: str, deck: Deck) -> None:
         struck.append(fault)
         arm.agenda.after(1e-6, fault.begin)
         if not (fault.told is not None and fault.told.clears and row.strikes == "bus"):
-            arm.agenda.after(1e-6 + arm.random.uniform(0.0, row.longest), fault.end)
+            arm.agenda.after(1e-6 + arm.random.uniform(0.0, row.longest), lambda: struck and fault.end())
         return ""
 
     _at_frame(arm, name, _draw_place(arm), happen)
@@ -151,6 +151,7 @@ def _fault(arm: UsedArm, name: str, deck: Deck) -> None:
         _judge_bus(arm, row, fault)
     if struck:
         fault.end()
+    struck.clear()
 
 
 def _judge_bus(arm: UsedArm, row: Row, fault: Fault) -> None:

@@ -201,7 +201,7 @@ class BoardWorld:
                 self.note(f"beside: {row.name}")
                 ends.append(fault)
                 fault.begin()
-                arm.agenda.after(random.uniform(0.0, row.longest), fault.end)
+                arm.agenda.after(random.uniform(0.0, row.longest), lambda: fault in ends and fault.end())
 
         arm.commit(arm.drawn_states())
         arm.pass_time(random.choice([0.0, 0.0005, 0.02]))
@@ -217,6 +217,7 @@ class BoardWorld:
         arm.releases = False
         for fault in ends:
             fault.end()
+        ends.clear()
         arm.mend()
         arm.pass_time(0.02)
         if any(arm.board(name).state is State.STOPPED for name in arm.looks):
