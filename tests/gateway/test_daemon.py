@@ -102,6 +102,7 @@ def test_goals_configurations_and_jogs_move_the_arm_and_a_signal_ends_all_in_ord
         assert client.request("jog", {"actuators": {"1.left": ["extended", "contracted"][before]}})["accepted"]
         eventually(lambda: states[-1]["measured"][0] == 1 - before)
         plan = client.request("plan", {"waypoints": [{"configuration": SECOND}]}, timeout=PATIENCE)
+        assert plan["accepted"], plan
         assert plan["waypoints"][0]["configuration"] == SECOND
         later = {"id": "later", "waypoints": [{"configuration": FIRST}, {"t": HOUR, "configuration": SECOND}]}
         assert client.request("goal", later, timeout=PATIENCE)["accepted"]
