@@ -83,7 +83,7 @@ def check_daemon(world: World, daemon: Daemon) -> None:
     """Checks that every goal has its result, and that planner, ledger and executor agree on that."""
     storage, account = daemon.storage, daemon.exchange
     world.wait(lambda: not account.unanswered(), "without open requests", SEARCHED_WITHIN)
-    world.wait(lambda: not storage.owed(), "without goals that the ledger owes", OWED_WITHIN)
+    world.wait(lambda: not storage.owes(), "without goals that the ledger owes", OWED_WITHIN)
     world.wait(lambda: not world.account.owed, "without results that wait", OWED_WITHIN)
     if daemon.process is not None:
         check_containers(daemon.process)

@@ -191,9 +191,25 @@ class Network:
 
 
 class SimulatedLink(ExecutorLink):
-    def __init__(self, network: Network, arm: str, digest: str, clock: Callable[[], float], simulated: bool) -> None:
+    """The link of a process; `between` is called before and after what another thread sends."""
+
+    def __init__(
+        self,
+        network: Network,
+        arm: str,
+        digest: str,
+        clock: Callable[[], float],
+        simulated: bool,
+        between: Callable[[], None],
+    ) -> None:
         super().__init__(Path(), arm, digest, clock, simulated=simulated)
-        self._network = network
+        self._network, self._between = network, between
+
+    def send_now(self, message: Down) -> str | None:
+        self._between()
+        unsent = super().send_now(message)
+        self._between()
+        return unsent
 
     @property
     def ready(self) -> bool:

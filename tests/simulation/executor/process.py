@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from random import Random
+from tempfile import TemporaryDirectory
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
-from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import (
     Action,
@@ -20,6 +22,7 @@ from hyperbit.controller.executor.core.events import (
     ToClient,
     ToSimulation,
 )
+from hyperbit.controller.executor.process.journal_file import FileJournal
 from hyperbit.controller.flight_recorder import FlightRecorder
 from hyperbit.controller.host.process import Log, Notify, Quit
 from hyperbit.controller.program import TICK, Goodbye, Up
@@ -29,6 +32,7 @@ from tests.simulation.agenda import Agenda
 from tests.simulation.buses.bus_model import BusModel
 from tests.simulation.executor.habits import Habits
 
+MEMORY = Path("/dev/shm")
 SOON = 0.001  # [s] before diagnostics are due at which a tick asks for the figures of the process
 LOOP_FAILS = "the simulated loop fails"  # text of a defect that the world draws
 WAKE_UP = 0.0002  # [s], longest wake-up time of a process that is not stalled
@@ -69,7 +73,7 @@ class ExecutorProcess:
     """Runs an executor on the simulated clock, like its event loop.
 
     Attributes:
-        journal: the switch journal, which survives the process.
+        journal: the switch journal of the process; its file survives the process.
         core: core of the present process; None between a kill and the next start.
         instances: number of processes so far.
         recorder: records the events of all processes; None: they are not recorded.
@@ -87,11 +91,12 @@ class ExecutorProcess:
         witness: Witness,
         habits: Habits | None = None,
     ) -> None:
-        self.journal = SwitchJournal(len(arm.actuators))
+        self._arm, self._files = arm, TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None)
+        self.journal = self._opened()
         self.core: Executor | None = None
         self.instances = 0
         self.recorder: FlightRecorder | None = None
-        self._arm, self._agenda, self._random, self._buses = arm, agenda, random, buses
+        self._agenda, self._random, self._buses = agenda, random, buses
         self._witness, self._habits = witness, habits
         self._quitting = False
         self._last: Up | None = None  # the last message to a client
@@ -104,6 +109,7 @@ class ExecutorProcess:
         self._next_tick = 0.0
         self._clients: set[ClientId] = set()
         self._actions_left: int | None = None
+        self._tearable = False  # a kill now may be in the middle of the journal's last write
 
     def start(self) -> None:
         """Starts a process if none runs, and opens the buses."""
@@ -113,6 +119,7 @@ class ExecutorProcess:
         self._events.clear()
         habits, self._quitting = self._habits, False
         extras = (None, None) if habits is None else (habits.watchdog, habits.simulation)
+        self.journal = self.journal if self.instances == 1 else self._opened()
         self.core = Executor(self._arm, self.journal, self.instances, *extras)
         if self.recorder is not None:
             core = self.core
@@ -126,6 +133,12 @@ class ExecutorProcess:
         self._tick_later(self.instances)
         happen, self._at_start = self._at_start, lambda: None
         happen()
+
+    def _opened(self) -> FileJournal:
+        """Opens the switch journal, whose file in memory survives a kill."""
+        folder = Path(self._files.name)
+        memory = os.fdopen(os.open(folder / "memory", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC), "r+b", buffering=0)
+        return FileJournal(folder / "disk", self._arm.actuators, memory)
 
     @property
     def awake(self) -> bool:
@@ -238,8 +251,10 @@ class ExecutorProcess:
     def _step(self, event: Event) -> None:
         assert self.core is not None
         self._witness.told(event)
+        written = self.journal.number
         actions = self.core.step(event, self._agenda.now)
         self.core.check()
+        self._tearable = self.journal.number > written
         if self.recorder is not None:
             self.recorder(event, self._agenda.now, None, actions)
         for action in actions:
@@ -256,8 +271,11 @@ class ExecutorProcess:
         if self._actions_left is not None:
             self._actions_left -= 1
             if self._actions_left < 0:
+                if self._tearable and self._random.random() < 0.5:
+                    self.journal.mapped[self.journal.slots[self.journal.number % 2]] ^= 0xFF
                 self.kill()
                 return
+        self._tearable = False
         match action:
             case SendFrame(bus, frame):
                 why = self._buses[bus].send_frame(frame, self._witness.sends(bus, frame))

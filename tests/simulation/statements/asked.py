@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from hyperbit.controller.program import Ended, Program, Settled, Snapshot, unpack
-from tests.simulation.whole.configurations import Cube
+from tests.simulation.whole.configurations import Disc
 
 Payload = dict[str, Any]
 
@@ -55,8 +55,8 @@ class Request:
         return bool(self.body.get("path_tolerance"))
 
     @property
-    def cubes(self) -> frozenset[Cube]:
-        return cubes_of(self.body.get("regions") or [])
+    def discs(self) -> frozenset[Disc]:
+        return discs_of(self.body.get("regions") or [])
 
     def __str__(self) -> str:
         return f"{self.key} {self.number} {str(self.body)[:200]}"
@@ -85,7 +85,7 @@ class Ran:
     at: float
     awake: float
     start: tuple[int, int] | None
-    among: frozenset[Cube]
+    among: frozenset[Disc]
     marks: list[int]
     mark: int = -1
     replaced: bool = False
@@ -120,8 +120,8 @@ class Heard(NamedTuple):
     snapshot: Snapshot | None
 
 
-def cubes_of(regions: list[Any]) -> frozenset[Cube]:
-    return frozenset(Cube(*map(round, region["disc"]["centre"])) for region in regions)
+def discs_of(regions: list[Any]) -> frozenset[Disc]:
+    return frozenset(Disc(*region["disc"]["centre"], region["disc"]["radius"]) for region in regions)
 
 
 def states_from(snapshot: Snapshot) -> int:

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from hyperbit.controller.executor.core.events import Event, FromClient
-from hyperbit.controller.planning.core.events import Identity
 from hyperbit.controller.program import (
     Accepted,
     Begun,
@@ -25,8 +24,7 @@ from hyperbit.controller.program import (
 from tests.simulation.executor.process import Witness
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.asked import Heard, Payload, Ran, Request, body_of, states_from
-from tests.simulation.whole.configurations import Cube
-from tests.simulation.whole.planner_storage import Row
+from tests.simulation.whole.configurations import Disc
 
 if TYPE_CHECKING:
     from tests.simulation.whole.daemon import Daemon
@@ -91,7 +89,7 @@ class Exchange(Witness):
         self.requests = [request for request in self.requests if request.answer is not None]
         self.heard = deque([Heard(self.awake, None)], maxlen=1_000)
         self.taken = self.malformed = 0
-        self.confirmed, self._confirmed_by, self.changed_at = frozenset[Cube](), 0, self.account.now
+        self.confirmed, self._confirmed_by, self.changed_at = frozenset[Disc](), 0, self.account.now
         if process:
             self.account.see("planner_begins")
         else:
@@ -118,8 +116,7 @@ class Exchange(Witness):
 
     def recorded(self, ran: Ran) -> tuple[bool, bool]:
         """Returns whether the ledger has the acceptance of a program, and its result."""
-        row = self._daemon.storage.rows.get(Identity(ran.instance, ran.program.program), Row())
-        return row.accepted is not None, row.ended is not None
+        return self._daemon.storage.has(ran.instance, ran.program.program)
 
     # --- clients
 
@@ -144,7 +141,7 @@ class Exchange(Witness):
         if request.key in ("stop", "cancel"):
             self.barriers.append(request)
         if request.key == "obstacles" and request.number > self._confirmed_by:
-            self.confirmed, self._confirmed_by = request.cubes, request.number
+            self.confirmed, self._confirmed_by = request.discs, request.number
         if len(self.requests) > 400:
             self.requests = [r for r in self.requests if r.answer is None or r.at > self.account.now - REMEMBERED]
 
@@ -190,14 +187,14 @@ class Exchange(Witness):
         return mine[-1] if mine else None
 
     @property
-    def in_force(self) -> frozenset[Cube]:
+    def in_force(self) -> frozenset[Disc]:
         """The obstacles that are surely in force: others may count from the arrival of their request on."""
-        return self.confirmed.intersection(*(r.cubes for r in self._pending()))
+        return self.confirmed.intersection(*(r.discs for r in self._pending()))
 
     @property
-    def possible(self) -> frozenset[Cube]:
+    def possible(self) -> frozenset[Disc]:
         """All obstacles that may be in force."""
-        return self.confirmed.union(*(r.cubes for r in self._pending()))
+        return self.confirmed.union(*(r.discs for r in self._pending()))
 
     def _pending(self) -> list[Request]:
         return [r for r in self.requests if r.key == "obstacles" and r.answer is None and _are_regions(r.body)]

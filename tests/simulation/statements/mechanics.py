@@ -11,7 +11,7 @@ import numpy as np
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.program import unpack
 from tests.simulation.statements.asked import Payload, Request, measured_of
-from tests.simulation.whole.configurations import Configurations, Cube
+from tests.simulation.whole.configurations import Configurations, Disc
 
 SLACK = 1e-9
 NEAR = 1e-6  # of lengths and angles that are computed twice
@@ -88,11 +88,11 @@ class Mechanics:
 
         return [{code for code, tip in self.tips.items() if serves(w, tip)} for w in request.body["waypoints"]]
 
-    def least(self, start: int, locked: int, cubes: frozenset[Cube], wanted: list[set[int]]) -> float:
+    def least(self, start: int, locked: int, discs: frozenset[Disc], wanted: list[set[int]]) -> float:
         """Returns the least cost from a state through a code of each set, in order; infinite if there is no way."""
         if start not in self.space.index:
             return math.inf
-        graph = self.space.graph(locked, start, tuple(sorted(cubes)))
+        graph = self.space.graph(locked, start, tuple(sorted(discs)))
         sets = [np.isin(self.space.codes, list(codes)) for codes in wanted]
         return self.space.optimum(graph, self.space.index[start], sets)
 

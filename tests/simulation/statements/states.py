@@ -9,11 +9,11 @@ from hyperbit.controller.program import Clearance, Question, Snapshot, Up, unpac
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.buses.bus_model import RPDOS
 from tests.simulation.facts import Switch
-from tests.simulation.statements.asked import Payload, Request, cubes_of, measured_of, states_from
+from tests.simulation.statements.asked import Payload, Request, discs_of, measured_of, states_from
 from tests.simulation.statements.exchange import Exchange
 from tests.simulation.statements.mechanics import Mechanics
 from tests.simulation.statements.results import OfTheArm
-from tests.simulation.whole.configurations import Cube
+from tests.simulation.whole.configurations import Disc
 
 LATE = 0.1  # [s], awake: 20 states a second, and the outbox
 STAMPED_WITHIN = 0.03  # [s] between a state and its publication
@@ -43,7 +43,7 @@ class StatesAreTrue(OfTheArm):
         """The description has the obstacles in force, if none were sent since it was asked for."""
         settled = self.exchange.changed_at < request.at and not self.exchange.unanswered("obstacles")
         if request.key == "arm" and "sent_obstacles" in answer and settled:
-            told = cubes_of(answer["sent_obstacles"])
+            told = discs_of(answer["sent_obstacles"])
             self.require(told == self.exchange.confirmed, lambda: f"arm tells {told}, not {self.exchange.confirmed}")
 
     def _judge_goal(self, goal: str | None) -> None:
@@ -152,7 +152,7 @@ class NoStageTouchesAnObstacle(OfTheArm):
         super().__init__(exchange, mechanics)
         self._among = exchange.in_force  # when the last RPDO was handed out
         self._sure = False  # whether the executor knew then where the arm was
-        self._asked: dict[int, tuple[Question, frozenset[Cube]]] = {}  # by number, with the obstacles in force
+        self._asked: dict[int, tuple[Question, frozenset[Disc]]] = {}  # by number, with the obstacles in force
 
     def started(self) -> None:
         self._asked.clear()
@@ -167,7 +167,8 @@ class NoStageTouchesAnObstacle(OfTheArm):
             case FromClient(_, Clearance(number, None)) if number in self._asked:
                 question, among = self._asked.pop(number)
                 before, after = unpack(question.start), unpack(question.stage)
-                touched = [cube for cube in among & self.exchange.in_force if cube.touched(before, after)]
+                space, still = self.mechanics.space, among & self.exchange.in_force
+                touched = [disc for disc in still if space.touched(disc, before, after)]
                 self.require(not touched, lambda: f"{question} is answered as clear, and touches {touched}")
 
     def sends(self, bus: str, frame: Frame) -> None:
@@ -186,5 +187,5 @@ class NoStageTouchesAnObstacle(OfTheArm):
         locked, measured = unpack(snapshot.locked), unpack(snapshot.measured)
         before = self.account.pins[-1].states & ~locked | measured & locked
         after = before ^ switch.mask & ~locked
-        touched = [cube for cube in self._among if cube.touched(before, after)]
+        touched = [disc for disc in self._among if self.mechanics.space.touched(disc, before, after)]
         self.require(not touched, lambda: f"a stage from {before:b} to {after:b} touches {touched}")

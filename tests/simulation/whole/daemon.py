@@ -8,12 +8,20 @@ from collections.abc import Callable
 from random import Random
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.executor.arm.arm import ExecutedArm
+from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.motion.stages.pacing import pace_of
 from hyperbit.controller.planning.core.events import Payload
+from hyperbit.controller.planning.workers.computations import MakeSolver
 from hyperbit.controller.program import Counted, Diagnostics, Snapshot, Up
+from hyperbit.controller.search.lists.two_list import ListSizes
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.network import Network
@@ -23,15 +31,15 @@ from tests.simulation.statements.exchange import Exchange
 from tests.simulation.whole.claims import check_claims
 from tests.simulation.whole.clients import Clients
 from tests.simulation.whole.configurations import Configurations
-from tests.simulation.whole.exact_search import ExactSearch
 from tests.simulation.whole.planner_process import UNIX, PlannerProcess
-from tests.simulation.whole.planner_storage import Storage, nothing
 from tests.simulation.whole.planner_witness import PlannerWitness
-from tests.simulation.whole.saved_poses import SavedPoses
-from tests.simulation.whole.searcher import Mood
+from tests.simulation.whole.storage import Storage
+from tests.simulation.whole.workers import LookClock, Mood
 from tests.simulation.whole.zenoh_model import LATENCY, TRANSMITTED, Sent, ZenohModel
 
 OFFSET = 4e-4  # of measured tips from computed ones; less than the tolerance
+LOOKS = 1e-3, 5e-3  # [s] that the first look at the clock in a task counts
+SIZES = None, None, ListSizes(4, 8, 16, 4, 4, 64), ListSizes(16, 32, 64, 16, 16, 256)  # None: the arm is listed whole
 COUNTED_WITHIN = 0.5  # [s] from the executor's counts to the ledger
 
 
@@ -40,7 +48,7 @@ class Daemon:
 
     Attributes:
         process: the present process of the planner; None between two.
-        saved: the saved poses, which survive the processes.
+        storage: the files, which survive the processes.
         state: the last payload of `state`; None without a process.
         results: payloads of results, by id.
         snapshot: the latest that came from the executor; None without a connection.
@@ -72,10 +80,12 @@ class Daemon:
         self.weights = [weights.choice([1.0, 1.0, 2.0, 3.0]) for _ in executed.actuators]
         angle = drawn("tracker").uniform(-math.pi, math.pi)
         self.offset = (OFFSET * math.cos(angle), OFFSET * math.sin(angle))
-        self.space = Configurations(arm.manipulator, executed.most, self.weights)
+        self.space = Configurations(arm.manipulator, executed.most, self.weights, arm.settings.body_radius)
         self.network = self.connection = Network(executed.name, agenda, drawn("network"), executor)
-        self.storage, self.mood = Storage(len(executed.actuators)), Mood()
-        self.search = ExactSearch(arm, self.space, drawn("search"))
+        self.storage, self.mood = Storage(executed.actuators, drawn("storage")), Mood()
+        self.search_clock = LookClock(agenda, weights.choice(LOOKS))
+        self.solver = self._capped(weights.choice(SIZES))
+        self.densities = map_densities(arm.reduced, arm.pixel, arm.level_pixels)
         self.state: Payload | None = None
         self.results: dict[str, Payload] = {}
         self.snapshot: Snapshot | None = None
@@ -90,12 +100,21 @@ class Daemon:
         self.witness = PlannerWitness(self.exchange, note)
         self.zenoh = ZenohModel(agenda, drawn("zenoh"), self, lambda: self.awake_since)
         self._claims = drawn("claims")
-        self.saved = SavedPoses(drawn("poses"))
         self.clients = Clients(self, drawn("clients"))
         self.process: PlannerProcess | None = None
         self._processes = 0
         self.network.wake, self.network.hears = self._readable, self._hears
         agenda.after(0.0, self.start)
+
+    def _capped(self, sizes: ListSizes | None) -> MakeSolver:
+        """Returns how solvers are made: they list the arm whole, or have lists of some sizes."""
+
+        def make(manipulator: Manipulator, densities: Densities, weights: NDArray[np.float64]) -> Solver:
+            solver = Solver(manipulator, densities, weights, list_whole=sizes is None, list_sizes=sizes or ListSizes())
+            solver.clock = self.search_clock
+            return solver
+
+        return make
 
     def start(self) -> None:
         if self.process is None:
@@ -195,11 +214,12 @@ class Daemon:
         if self.process is not None and self._random.random() < 0.5:
             self.process.kill_after(self._random.choice([0, 1, 2, 3, 5, 10, 30]))
         elif self.process is not None:
-            self.storage.marked = self._die_with_result
+            self.process.marked = self._die_with_result
 
     def _die_with_result(self) -> None:
-        process, self.storage.marked = self.process, nothing
+        process = self.process
         if process is not None:
+            process.marked = lambda: None
             self.agenda.after(self._random.choice([0.0, 1.5 * TRANSMITTED]) * self._random.random(), process.kill)
 
     def end_in_order(self) -> None:
@@ -212,8 +232,8 @@ class Daemon:
         self.agenda.after(self._random.uniform(0.0, 3 * LATENCY), process.quit)
 
     def err(self, share: float) -> None:
-        """Makes a share of the searches raise an exception."""
-        self.search.errs = share
+        """Makes a share of the plans end before their goal."""
+        self.mood.errs = share
 
     def lose_network(self, lost: bool) -> None:
         """Loses the connections to all peers, or brings them back."""
@@ -221,9 +241,8 @@ class Daemon:
 
     def fill_disk(self, records: int) -> None:
         """Makes the disk full after some further records."""
-        self.storage.fills_at = records
+        self.storage.fill(records)
         self.exchange.note("disk")
-        self.saved.fill(True)
 
     def hold_up(self, slow: float = 0.0, congestion: float = 0.0) -> None:
         """Slows the loop's rounds [s], or lets clients read slowly [s]."""
@@ -243,21 +262,20 @@ class Daemon:
     def mend(self) -> None:
         """Ends all faults; a halt continues to its end."""
         self.mood.mend()
-        self.search.errs, self.storage.marked = 0.0, nothing
+        self.mood.errs = 0.0
         self.hold_up()
         self.lose_network(False)
         self.drain_socket()
-        if self.storage.full:
+        if self.storage.room is not None:
             self.exchange.note("disk")
-        self.storage.full, self.storage.fills_at = False, None
-        self.saved.fill(False)
+        self.storage.fill(None)
         if self.process is not None:
-            self.process.actions_left = None
-            self.process.ledger.flush()
+            self.process.actions_left, self.process.marked = None, lambda: None
+            self.process.ledger.write()
 
     def be_calm(self, calm: bool) -> None:
         self.clients.calm, self.wanted = calm, False
-        self.search.errs = 0.0 if calm else self._errs
+        self.mood.errs = 0.0 if calm else self._errs
 
     @property
     def calm(self) -> bool:

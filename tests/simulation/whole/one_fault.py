@@ -47,8 +47,8 @@ def codes(daemon: Daemon) -> set[str]:
 def _rows(world: World, daemon: Daemon, random: Random) -> list[Row]:
     clients, snapshot, labels = daemon.clients, daemon.snapshot, daemon.executed.actuators
     assert snapshot is not None
-    everything = (1 << len(labels)) - 1
-    here = {"regions": [{"disc": {"centre": [everything, unpack(snapshot.measured)], "radius": 1.0}, "name": "here"}]}
+    tip = daemon.space.tips[daemon.space.index[unpack(snapshot.measured)]].tolist()
+    here = {"regions": [{"disc": {"centre": tip, "radius": 0.01}, "name": "here"}]}
     booting = frozenset(("unknown-position", "executor-lost", "outputs-off", "board-lost"))
 
     def fill_disk() -> None:

@@ -48,25 +48,14 @@ def draw_module(random: Random, count: int) -> Module:
     codes = binary_code(1 << count)
     if count > 1 and random.random() < 0.5:
         most = len(codes) // 2 if random.random() < 0.3 else 1
-        left_out = random.sample(range(1, len(codes)), random.randint(1, most))
-        fewer = np.delete(codes, left_out, axis=0)
-        fewer = codes[codes[:, -1] == 0] if random.random() < NEVER else fewer
-        codes = fewer if connected(fewer) else codes
+        never = codes[:, -1] == 0
+        codes = codes[never] if random.random() < NEVER else codes[: len(codes) - random.randint(1, most)]
     frames = [
         planar(random.uniform(0.2, 1.0), random.uniform(-0.5, 0.5), random.uniform(-0.8, 0.8))
         for _ in range(len(codes))
     ]
     stack = np.array(frames)
     return Module(stack, codes, tuple(str(k + 1) for k in range(count)), lines(stack), planar=True)
-
-
-def connected(codes: NDArray[np.integer]) -> bool:
-    """Returns whether single switches lead from the first code to all others."""
-    apart = (codes[:, None] != codes).sum(axis=2)
-    reached = np.arange(len(codes)) == 0
-    for _ in codes:
-        reached |= (apart[reached] == 1).any(axis=0)
-    return bool(reached.all())
 
 
 def contracts(modules: list[Module], mask: int) -> bool:
@@ -91,6 +80,8 @@ def draw_settings(random: Random, arm: ExecutedArm) -> ArmSettings:
         "rest_time": arm.rest,
         "inrush": arm.inrush,
         "planner_timeout": arm.planner_timeout,
+        "body_radius": random.choice([0.0, 0.02]),
+        "workspace": {"pixel": 0.05},
         "method": random.choice(["minimum-switch", "minimum-switch", "ipop-previous"]),
     }
     if random.random() < 0.45:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from random import Random
 from typing import TYPE_CHECKING
 
@@ -17,18 +18,22 @@ from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.server import GatewayParts, Server
 from hyperbit.controller.host.process import Quit
 from hyperbit.controller.motion.stages.pacing import pace_of
+from hyperbit.controller.obstacles.obstacles import NONE
+from hyperbit.controller.planning import ledger as ledger_module
+from hyperbit.controller.planning import ledger_file
 from hyperbit.controller.planning import loop as loop_module
 from hyperbit.controller.planning.core.core import Beginning, Core
-from hyperbit.controller.planning.core.events import Action, Event, Reply
-from hyperbit.controller.planning.core.tasks import Tables, VersionedScene
+from hyperbit.controller.planning.core.events import Action, Event, Identity, Payload, Recorded, Reply
+from hyperbit.controller.planning.core.tasks import BuildScene, BuildTables
+from hyperbit.controller.planning.ledger import PublishedResults
 from hyperbit.controller.planning.link import ExecutorLink
 from hyperbit.controller.planning.loop import Loop, PlannerFailed, Services
 from hyperbit.controller.planning.planner import Planner
-from hyperbit.controller.program import Fault
+from hyperbit.controller.planning.workers import pool as pool_module
+from hyperbit.controller.planning.workers.computations import build_scene, build_tables
 from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.network import SimulatedLink
-from tests.simulation.whole.planner_storage import SimulatedLedger
-from tests.simulation.whole.searcher import Searcher
+from tests.simulation.whole.workers import LateWorkers
 
 if TYPE_CHECKING:
     from tests.simulation.whole.daemon import Daemon
@@ -39,9 +44,11 @@ SPIN, MOST_IDLE = 1e-4, 20  # [s] between rounds without events, and number of t
 UNIX = 1.7e9  # [s] between the two clocks
 
 LEASE = 4.0  # [s] of the simulated session
+INTERLEAVED = 0.3  # share of the places between two steps of a thread at which the loop's thread runs
 SENDS_WITHIN = 0.0003  # [s], time of the outbox for a message
 
-LOGS = (daemon_module.log, loop_module.log, outbox_module.log, server_module.log)
+MODULES = (daemon_module, loop_module, outbox_module, server_module, ledger_module, ledger_file, pool_module)
+LOGS = tuple(module.log for module in MODULES)
 
 
 class Killed(BaseException):
@@ -105,7 +112,7 @@ class PlannerProcess:
 
     Attributes:
         name: number of the process, in the ids of jogs.
-        snapshot: the latest that the core took; None without a connection.
+        marked: is called after each mark of a published result, and after each record.
     """
 
     def __init__(self, daemon: Daemon, number: int, random: Random) -> None:
@@ -114,49 +121,68 @@ class PlannerProcess:
         self._next = math.inf  # time of the next round [s]
         self._idle_rounds, self._rang_at = 0, -math.inf
         self.actions_left: int | None = None
+        self.marked: Callable[[], None] = lambda: None
+        self._rounding = False
         arm, storage, post = daemon.arm, daemon.storage, self.post
         self.inbox = SimulatedInbox(self)
         self.link = SimulatedLink(
-            daemon.network, arm.settings.name, daemon.executed.digest, self._now, daemon.simulated
+            daemon.network, arm.settings.name, daemon.executed.digest, self._now, daemon.simulated, self.interleave
         )
-        self.ledger = SimulatedLedger(self._agenda, random, storage, self._lives, post)
-        self.searcher = Searcher(self._agenda, random, daemon.search, daemon.mood, post)
+        self.ledger, published = storage.begin(self._agenda, self._recorded), storage.published()
+        parts = arm, daemon.densities, daemon.weights, daemon.solver
+        self.workers = LateWorkers(self._agenda, random, daemon.mood, daemon.search_clock, parts, post)
         self.session, self.goals = daemon.zenoh.open(), RepeatedGoals(self._now)
-        hooks = self.goals.ended, storage.mark, post
+        hooks = self.goals.ended, partial(self._marks, published), post
         name = arm.settings.name
         self.outbox = SteppedOutbox(self.session, f"hyperbit/{name}", *hooks, self._never, LEASE, self._now)  # type: ignore[arg-type]
         self._outbox_at = math.inf
         self.outbox.wake_at = self._send_within
         network = daemon.zenoh
-        warnings = Warnings(lambda: not network.lost, self._ledger_faults, daemon.wall, self._now)
-        services = Services(self.inbox, self.ledger, storage, self.outbox, self, warnings.active, self._never)  # type: ignore[arg-type]
+        warnings = Warnings(lambda: not network.lost, self.ledger.faults, daemon.wall, self._now)
+        services = Services(self.inbox, self.ledger, published, self.outbox, self, warnings.active, self._never)  # type: ignore[arg-type]
         locked = bytes(
             (daemon.executed.locked_states >> k & 1) if daemon.executed.locked >> k & 1 else 255
             for k in range(len(daemon.executed.actuators))
         )
-        published, owed = dict(storage.published), storage.owed()
+        scene = build_scene(arm, BuildScene(0, NONE))
         beginning = Beginning(
             f"p{number}-",
-            Tables(0, locked),
-            VersionedScene(0, True, ()),
-            0,
-            storage.counts,
-            published,
-            owed,
+            build_tables(arm, daemon.densities, daemon.weights, BuildTables(0, locked), daemon.solver),
+            scene.scene,
+            scene.total,
+            self.ledger.known,
+            published.known(),
+            self.ledger.owed,
             simulated=daemon.simulated,
         )
         self.core = Core(arm, pace_of(arm.settings), beginning)
         clocks = self._now, daemon.wall
-        self.loop = KillableLoop(self.core, self.link, self.searcher, services, daemon.witness, clocks)  # type: ignore[arg-type]
+        self.loop = KillableLoop(self.core, self.link, self.workers, services, daemon.witness, clocks)  # type: ignore[arg-type]
         self.loop.before = self._before
         self.loop.check = self._check
         self.loop.ended.clear()
-        gateway_clocks = Clocks(self._now, daemon.wall, self._pause)
+        gateway_clocks, finds = Clocks(self._now, daemon.wall, self._pause), partial(ledger_file.find, storage.path)
         planner = Planner(arm, None, self.loop)  # type: ignore[arg-type]
-        parts = GatewayParts(planner, self.outbox, self.goals, daemon.saved.poses(), storage.find, gateway_clocks)  # type: ignore[arg-type]
-        self.server = Server(self.session, name, parts)  # type: ignore[arg-type]
+        gateway = GatewayParts(planner, self.outbox, self.goals, storage.poses(), finds, gateway_clocks)
+        self.server = Server(self.session, name, gateway)  # type: ignore[arg-type]
         self.wake_soon()
         self._send_within(0.0)
+
+    def _recorded(self, entry: int) -> None:
+        self.marked()
+        self.interleave()
+        self.post(Recorded(entry))
+
+    def _marks(self, published: PublishedResults, identity: Identity, payload: Payload) -> None:
+        published.add(identity, payload)
+        self.marked()
+        self.interleave()
+
+    def interleave(self) -> None:
+        """Lets the loop's thread run between two steps of another thread, perhaps."""
+        awake = self._agenda.now >= self._daemon.awake_since
+        if self.alive and awake and not self._rounding and self._random.random() < INTERLEAVED:
+            self._round()
 
     def _pause(self, seconds: float) -> None:
         """Holds up no other thread of the gateway."""
@@ -198,9 +224,6 @@ class PlannerProcess:
     def notify(self, assignment: str) -> None:
         """Does nothing: there is no service manager."""
 
-    def _ledger_faults(self) -> tuple[Fault, ...]:
-        return (Fault("ledger-unwritten", "ledger", "the disk is full"),) if self.ledger.waits else ()
-
     def wake_soon(self) -> None:
         self._wake_at(self._agenda.now + self._random.uniform(0.0, WAKE_UP))
 
@@ -220,14 +243,8 @@ class PlannerProcess:
             self._idle_rounds = 0
         self._idle_rounds, self._rang_at = self._idle_rounds + 1, self._agenda.now
         require(self._idle_rounds < MOST_IDLE, "the loop spins: the core wants to be woken again and again")
-        try:
-            self.loop.round()
-        except Killed:
-            self.kill()
-            return
-        except PlannerFailed as failure:
-            self._daemon.fails(str(failure))
-            self.kill()
+        self._round()
+        if not self.alive:
             return
         if self.core.ended and self.loop.ended.is_set() and self.quits_at < math.inf:
             self._end(in_order=True)
@@ -236,6 +253,18 @@ class PlannerProcess:
         due = self.loop.due(retry_at)
         self._daemon.slow_down()
         self._wake_at(self._agenda.now if self.link.ready else max(due, self._agenda.now) + 1e-5)
+
+    def _round(self) -> None:
+        self._rounding = True
+        try:
+            self.loop.round()
+        except Killed:
+            self.kill()
+        except PlannerFailed as failure:
+            self._daemon.fails(str(failure))
+            self.kill()
+        finally:
+            self._rounding = False
 
     def _before(self, action: Action) -> None:
         if self.actions_left is not None:
@@ -259,7 +288,8 @@ class PlannerProcess:
     def kill(self) -> None:
         if self.alive:
             self.alive = False
-            self.searcher.end()
+            self.workers.end()
+            self.ledger.kill()
             self._daemon.zenoh.close()
             self.link.close()
             self._daemon.planner_ended()
@@ -269,15 +299,12 @@ class PlannerProcess:
         if self.alive:
             self.actions_left = None
             self.loop.close()
-            self.ledger.flush()
+            self.ledger.finish()
             self.outbox.close()
             while self.outbox.step() is not None:
                 pass
             self._daemon.zenoh.finish()
             self.kill()
-
-    def _lives(self) -> bool:
-        return self.alive
 
     def _now(self) -> float:
         return self._agenda.now

@@ -11,10 +11,12 @@ import numpy as np
 
 from hyperbit.controller.program import unpack
 from tests.simulation.statements.asked import states_from
+from tests.simulation.whole.configurations import Disc
 
 if TYPE_CHECKING:
     from tests.simulation.whole.daemon import Daemon
 
+MOST_TRIES = 5  # places of an obstacle, until one is clear of the arm
 STATES = ("contracted", "extended")
 WILLING = 0.9  # share of the goals that can be accepted if the arm is ready, and stays so
 POSES = ("pick", "place", "a b", "P1")
@@ -163,8 +165,8 @@ class Wishes:
         start = -1 if snapshot is None else states_from(snapshot)
         if snapshot is None or start not in space.index:
             return []
-        cubes = tuple(sorted(self._daemon.exchange.possible))
-        graph, costs = space.graph(unpack(snapshot.locked), start, cubes), np.full(len(space.codes), np.inf)
+        discs = tuple(sorted(self._daemon.exchange.possible))
+        graph, costs = space.graph(unpack(snapshot.locked), start, discs), np.full(len(space.codes), np.inf)
         costs[space.index[start]] = 0.0
         reached = np.isfinite(graph.spread(costs)) & graph.permitted
         return [int(k) for k in np.flatnonzero(reached)]
@@ -200,16 +202,22 @@ class Wishes:
         return any(not (code ^ states) & mask for code in self._daemon.space.index)
 
     def regions(self) -> list[dict[str, Any]]:
-        """Returns obstacles, each a cube of states; most do not touch the arm at rest."""
-        random, size, regions = self._random, len(self._labels), list[dict[str, Any]]()
-        for k in range(random.choice([0, 1, 1, 2, 4])):
-            mask = sum(1 << bit for bit in random.sample(range(size), min(size, random.choice([2, 3, 4]))))
-            value = random.getrandbits(size) & mask
-            if self._daemon.snapshot is not None and random.random() < 0.9:
-                measured = unpack(self._daemon.snapshot.measured) & mask
-                value = measured ^ mask & -mask if value == measured else value
-            regions.append({"disc": {"centre": [mask, value], "radius": 1.0}, "name": f"cube{k}"})
-        return regions
+        """Returns discs on the way of some configurations; most do not touch the arm at rest."""
+        discs = [self._disc() for _ in range(self._random.choice([0, 1, 1, 2, 4]))]
+        return [
+            {"disc": {"centre": [disc.x, disc.y], "radius": disc.radius}, "name": f"disc{k}"}
+            for k, disc in enumerate(discs)
+        ]
+
+    def _disc(self) -> Disc:
+        random, space, snapshot = self._random, self._daemon.space, self._daemon.snapshot
+        touches, tries = snapshot is None or random.random() < 0.1, 0
+        while True:
+            row, tries = random.choice(space.joints), tries + 1
+            k, share, radius = random.randrange(len(row) - 1), random.random(), random.choice([0.02, 0.05, 0.2])
+            disc = Disc(*(float(x) for x in row[k] + share * (row[k + 1] - row[k])), radius)
+            if touches or tries > MOST_TRIES or not space.touched(disc, code := unpack(snapshot.measured), code):
+                return disc
 
     def pose(self) -> dict[str, Any]:
         """Returns a request on poses; a few are malformed."""
