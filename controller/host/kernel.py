@@ -57,9 +57,10 @@ class Progress(Listener):
     """Says at the first kernel without machine code why the call takes long, and counts the kernels on a terminal."""
 
     count = 0
+    silent = False
 
     def on_start(self, event: Event) -> None:
-        if not isinstance(event.data["dispatcher"], Kernel):
+        if self.silent or not isinstance(event.data["dispatcher"], Kernel):
             return
         self.count += 1
         if self.count == 1:
@@ -71,7 +72,8 @@ class Progress(Listener):
         """Does nothing; numba calls it."""
 
 
-register("numba:compile", Progress())  # type: ignore[no-untyped-call]
+progress = Progress()
+register("numba:compile", progress)  # type: ignore[no-untyped-call]
 
 
 def kernel(signatures: Any, **options: Any) -> Callable[[F], F]:

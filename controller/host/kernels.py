@@ -60,6 +60,9 @@ def compile_all(waiting: dict[str, set[str]], processes: int) -> None:
     """Imports modules in forked processes, each after its dependencies. Raises RuntimeError if one fails."""
     from numba import njit
 
+    from hyperbit.controller.host.kernel import progress
+
+    progress.silent = True
     # numba's own modules are loaded once here, and not in each process.
     njit("i8(i8)")(lambda x: x + 1)
     needed = {name: sum(name in others for others in waiting.values()) for name in waiting}
