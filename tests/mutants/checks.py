@@ -164,7 +164,6 @@ def run_tests(mutant: Mutant | None, files: Iterable[str]) -> Result:
         options = [
             "-x",
             "-q",
-            "-n0",
             "-p",
             "no:cacheprovider",
             "--timeout",
