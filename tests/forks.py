@@ -1,7 +1,7 @@
 """Runs the tests in several processes, forked after one collection: pytest --forks 5 --forks-beside 4.
 
-Each process takes the next portion of tests as soon as it is free. A process that dies fails the test that it ran. What
-the tests left running is killed at the end.
+Each process takes the next portion of tests as soon as it is free. A process that dies fails the test that it ran. One
+whose test outlasts every time-out is killed. What the tests left running is killed at the end.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import io
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from itertools import chain, groupby, pairwise
 from multiprocessing import connection
@@ -22,6 +23,7 @@ import pytest
 
 PORTION = 16  # tests that a process takes at once
 NICE = 10
+HUNG = 900.0  # [s] that no test takes, for its time-out is shorter
 REAPED_EVERY = 0.1  # [s]; tests wait for the end of orphans
 PR_SET_CHILD_SUBREAPER = 36  # prctl(2): orphans of the tests become children of this process
 
@@ -43,16 +45,17 @@ def pytest_runtestloop(session: pytest.Session) -> bool | None:
     computing = [item for item in session.items if not item.get_closest_marker("real_time")]
     queues = [Queue(waiting, whole_files=True), Queue(computing, whole_files=False)]
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
-    running: list[connection.Connection] = []
+    running: dict[connection.Connection, int] = {}
     try:
         for number in range(options.forks + options.forks_beside):
             first = number >= options.forks_beside
             receiver, sender = connection.Pipe(duplex=False)
-            if os.fork() == 0:
+            child = os.fork()
+            if child == 0:
                 run_tests(session, queues[first:], sender)
                 return True
             sender.close()
-            running.append(receiver)
+            running[receiver] = child
         receive_reports(session, running)
     finally:
         kill_children()
@@ -117,21 +120,24 @@ class Sender:
         self._sender.send(self._config.hook.pytest_report_to_serializable(config=self._config, report=report))
 
 
-def receive_reports(session: pytest.Session, running: list[connection.Connection]) -> None:
+def receive_reports(session: pytest.Session, running: dict[connection.Connection, int]) -> None:
     """Passes reports of the processes on, until all have ended."""
-    hook, at = session.config.hook, dict.fromkeys(running, "no test")
+    hook, at = session.config.hook, dict.fromkeys(running, ("no test", time.monotonic()))
     while running:
+        for receiver, child in running.items():
+            if time.monotonic() > at[receiver][1] + HUNG:
+                os.kill(child, signal.SIGKILL)
         for receiver in connection.wait(list(running), REAPED_EVERY):
             assert isinstance(receiver, connection.Connection)
             try:
                 message = receiver.recv()
             except EOFError:
-                message = hook.pytest_report_to_serializable(config=session.config, report=died(at[receiver]))
-                running.remove(receiver)
+                message = hook.pytest_report_to_serializable(config=session.config, report=died(at[receiver][0]))
+                del running[receiver]
             if message is None:
-                running.remove(receiver)
+                del running[receiver]
             elif isinstance(message, str):
-                at[receiver] = message
+                at[receiver] = message, time.monotonic()
             else:
                 report = hook.pytest_report_from_serializable(config=session.config, data=message)
                 hook.pytest_runtest_logreport(report=report)

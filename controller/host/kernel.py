@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+from numba import config
 from numba.core.compiler import DEFAULT_FLAGS
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.event import Event, Listener, register
@@ -53,6 +54,12 @@ class Kernel(CPUDispatcher):
         return super().get_call_template(args, kws)
 
 
+def load(function: Callable[..., Any]) -> None:
+    """Loads a kernel before its first call."""
+    if isinstance(function, Kernel):
+        function.load()
+
+
 class Progress(Listener):
     """Says at the first kernel without machine code why the call takes long, and counts the kernels on a terminal."""
 
@@ -83,10 +90,14 @@ def kernel(signatures: Any, **options: Any) -> Callable[[F], F]:
         signatures: a signature, or a list of them, as for numba's `njit`.
         options: options of `njit`, beside those that all kernels have: machine code is cached, and the kernel releases
             the interpreter's lock.
+
+    With NUMBA_DISABLE_JIT the function stays as it is.
     """
     declared = tuple(signatures) if isinstance(signatures, list) else (signatures,)
 
     def decorate(function: F) -> F:
+        if config.DISABLE_JIT:  # type: ignore[attr-defined]
+            return function
         made = Kernel(function, targetoptions={"nopython": True, "boundscheck": None, "nogil": True, **options})
         made.enable_caching()
         made.declared = declared

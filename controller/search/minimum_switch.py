@@ -18,7 +18,7 @@ from hyperbit.controller.search.branch_and_bound import BranchAndBound
 from hyperbit.controller.search.clock import CHANGED, INDEXED, LISTED, WALL, Clock
 from hyperbit.controller.search.descent.paths import Paths
 from hyperbit.controller.search.lists.four_list import FourList, FourListProof
-from hyperbit.controller.search.lists.matching import load, put
+from hyperbit.controller.search.lists.matching import load_matchers, put
 from hyperbit.controller.search.lists.segment import Sets, build_segment, motions
 from hyperbit.controller.search.lists.two_list import ListSizes, TwoList, room_for
 from hyperbit.controller.search.method import distances
@@ -42,7 +42,7 @@ class MinimumSwitch:
     """The minimum-switch search of one manipulator, with its memory."""
 
     def __init__(self, manipulator: Manipulator, hull: Hull, paths: Paths, chain: Chain, sizes: ListSizes) -> None:
-        load(manipulator.planar)
+        load_matchers(manipulator.planar)
         self._sizes = sizes
         self._m, self._hull, self._paths = manipulator, hull, paths
         self._near, self._wide = (TwoList(manipulator, most, sizes.matched) for most in (sizes.near, sizes.widest))

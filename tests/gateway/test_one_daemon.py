@@ -15,7 +15,9 @@ from hyperbit.controller.program import Fault
 from tests.gateway.conftest import ARM, Gateway
 from tests.waiting import PATIENCE, eventually
 
-HERE = f"another daemon drives the arm 'a': process {os.getpid()} on "
+
+def drives_here() -> str:
+    return f"another daemon drives the arm 'a': process {os.getpid()} on "
 
 
 def confirmed(claim: Claim, timeout: float = PATIENCE) -> bool:
@@ -53,7 +55,7 @@ def test_of_two_that_start_together_the_one_with_the_lower_id_serves(two: list[z
 @pytest.mark.parametrize("first", [0, 1])
 def test_who_has_confirmed_its_claim_keeps_the_arm(two: list[zenoh.Session], first: int) -> None:
     Claim(two[first], ARM).confirm()
-    with pytest.raises(AlreadyRunning, match=HERE):
+    with pytest.raises(AlreadyRunning, match=drives_here()):
         Claim(two[1 - first], ARM).confirm()
 
 
@@ -70,7 +72,7 @@ def test_a_daemon_of_another_name_may_start(two: list[zenoh.Session]) -> None:
 
 
 def test_a_daemon_of_an_earlier_version_bars_others_by_its_token(gateway: Gateway) -> None:
-    with pytest.raises(AlreadyRunning, match=HERE):
+    with pytest.raises(AlreadyRunning, match=drives_here()):
         Claim(gateway.other(), ARM).confirm()
 
 

@@ -12,7 +12,6 @@ from hyperbit.controller.manipulator.frame_kernels import angle_between
 from hyperbit.controller.manipulator.frames import Frame, turned
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.search.branch_and_bound import BranchAndBound
-from hyperbit.controller.search.lists import two_list
 from hyperbit.controller.search.lists.two_list import TwoList
 from hyperbit.controller.search.method import METHODS, switch_costs
 from hyperbit.controller.search.search_time import SearchTime
@@ -141,13 +140,11 @@ def test_a_meeting_cut_short_says_what_it_left_out(seed):
     centre, goal = rng.integers(0, arm.states), near(arm, rng, 0.05, 0.3)
     target = SearchTarget(goal, goal, arm, 0.05, 0.3, 0.05 / 0.3)
     costs = switch_costs(arm, centre, arm.per_module(np.ones(len(arm.actuators))))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(two_list, "AT_ONCE", 5)
-        both = TwoList(arm, 1000)
-        both.list(centre, costs, costs)
-        cut, whole = Incumbent(centre, 0.0), Incumbent(centre, np.inf)
-        assert both.match(target, cut) == (False, both.lower.costs[5:].min())
-        assert both.match(target, whole) == (True, min(both.lower.unexplored, both.upper.unexplored))
+    both = TwoList(arm, 1000, matched=5)
+    both.list(centre, costs, costs)
+    cut, whole = Incumbent(centre, 0.0), Incumbent(centre, np.inf)
+    assert both.match(target, cut) == (False, both.lower.costs[5:].min())
+    assert both.match(target, whole) == (True, min(both.lower.unexplored, both.upper.unexplored))
     assert whole.cost >= min(cut.cost, both.lower.costs[5:].min())
 
 

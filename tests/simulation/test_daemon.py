@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from hyperbit.controller.motion.decoding.goal import BEGIN_WITHIN
@@ -9,6 +11,7 @@ from hyperbit.controller.planning.core import parts
 from tests.simulation.world import World
 
 STEPS = 3_000
+ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -20,7 +23,7 @@ def test_a_seed_replays_exactly() -> None:
     first, second = (World(5, whole=True, remembered=10**6) for _ in range(2))
     first.run(STEPS)
     second.run(STEPS)
-    assert second.story() == first.story()
+    assert ADDRESS.sub("", second.story()) == ADDRESS.sub("", first.story())
 
 
 def test_a_hung_search_ends_the_process(monkeypatch: pytest.MonkeyPatch) -> None:

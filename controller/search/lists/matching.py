@@ -6,13 +6,14 @@ all cells that are near. Outer and inner are configurations of two segments, or 
 cell walk for positions and poses, compiled for each case.
 """
 
-from typing import Any, NamedTuple, cast
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import float64, int32, int64, types
 from numpy.typing import NDArray
 
-from hyperbit.controller.host.kernel import Kernel, kernel
+from hyperbit.controller.host.kernel import kernel, load
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, I2, UNCOUNTED, named
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
@@ -201,7 +202,7 @@ def keep(
 MATCH = for_scenes(lambda scene: int64(SIDES, SPAN, QUERY, I1, scene, MATCHES))
 
 
-def matcher(planar: bool, posed: bool) -> Kernel:
+def matcher(planar: bool, posed: bool) -> Callable[..., int]:
     """Returns the matching kernel for planar or spatial arms, positions or poses.
 
     The kernel keeps the pairs of a span that are within the tolerances, clear, and cheaper than the dearest match. It
@@ -263,18 +264,18 @@ def matcher(planar: bool, posed: bool) -> Kernel:
                             ceiling = most_cost(matches)
         return work
 
-    return cast(Kernel, match)
+    return match
 
 
 MATCHERS = {(planar, posed): matcher(planar, posed) for planar in (True, False) for posed in (False, True)}
 
 
-def load(planar: bool) -> None:
+def load_matchers(planar: bool) -> None:
     """Loads the kernels for planar or for spatial arms; each takes memory. A match without it loads its own."""
     for posed in (False, True):
-        MATCHERS[planar, posed].load()
+        load(MATCHERS[planar, posed])
 
 
 def match(sides: Sides, *rest: Any) -> int:
     """Calls the kernel for these sides, for positions or poses by the index; returns its work in comparisons."""
-    return int(MATCHERS[sides.outer.frames.shape[1] == 4, bool(sides.lookup.rotation_scale > 0.0)](sides, *rest))
+    return MATCHERS[sides.outer.frames.shape[1] == 4, bool(sides.lookup.rotation_scale > 0.0)](sides, *rest)

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import can.interfaces
 
+from hyperbit.controller.host.output import Output
 from tests import emulated  # noqa: F401
 
 true_time = time.time
@@ -113,6 +114,8 @@ def become(kind: str, arguments: list[str], log: str, environment: dict[str, str
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(Exception):
                 stream.flush()
+                if isinstance(stream.buffer, Output):
+                    stream.buffer.finish()
         os._exit(code)
 
 
