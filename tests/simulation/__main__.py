@@ -16,8 +16,8 @@ from pathlib import Path
 
 from tests.simulation import events
 from tests.simulation.fieldbus.world import BoardWorld
-from tests.simulation.judge.verdict import Violation
 from tests.simulation.statements.executor import EVERY
+from tests.simulation.verdict import Violation
 from tests.simulation.whole.planner_process import LOGS
 from tests.simulation.world import World
 

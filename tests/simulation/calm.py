@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.planner import ScriptedPlanner
+from tests.simulation.verdict import Violation, require
 from tests.simulation.whole.containers import check_containers
 
 if TYPE_CHECKING:

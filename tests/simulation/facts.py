@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from tests.simulation.judge.account import Commit
-
 if TYPE_CHECKING:
     from tests.simulation.statements.account import Sync
 
@@ -17,7 +15,6 @@ class Switch(NamedTuple):
     after: int
     cause: str
     bus: str
-    commit: Commit | None
     sync: Sync | None
 
 
@@ -32,5 +29,4 @@ class Energised(NamedTuple):
     again: int
     cause: str
     bus: str
-    commit: Commit | None
     sync: Sync | None

@@ -13,7 +13,7 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.bus_model import RPDOS
-from tests.simulation.executor.process import Witness
+from tests.simulation.executor.witness import Witness
 from tests.simulation.facts import Energised, Switch
 
 LATELY = 0.5  # [s], longest time from a refusal of the executor to the planner's answer
@@ -30,7 +30,6 @@ class Record(Witness):
         lying: mask of the actuators with frozen end-stops or broken wires.
         fallen: mask of the actuators whose outputs changed without a SYNC, perhaps unknown to the executor.
         suspect: mask of the actuators whose boards have missed a frame since their boot.
-        misses: takes `suspect` when it changes.
         open_since: time when an interlock was opened [s]; infinity if all are closed.
     """
 
@@ -43,7 +42,6 @@ class Record(Witness):
         self.synced, self.slack = [0] * count, [0] * count
         self.suspect = self.fallen = 0
         self.lying = self._lied = 0
-        self.misses: Callable[[int], None] = lambda suspect: None
         self.open_since, self._closed_at = math.inf, -math.inf
         self._mode = "starting"
         self._agenda, self._note = agenda, note
@@ -85,8 +83,7 @@ class Record(Witness):
                 self.counts[message.status] += 1
             case Snapshot():
                 if self._mode == "starting" and message.mode == "ready":
-                    self._suspect(0)  # the outputs were read back
-                    self.fallen = 0
+                    self.suspect = self.fallen = 0  # the outputs were read back
                 self.counts["fault"] += message.mode == "fault" != self._mode
                 self._mode = message.mode
 
@@ -97,21 +94,19 @@ class Record(Witness):
         """Records a sent frame of the executor; the boards of a mask of actuators do not receive it."""
         self._note(("boards hear", bus, frame, f"not those of {missing:b}" if missing else ""))
         if missing and (frame.id == cia301.SYNC or frame.id & 0x780 in RPDOS):
-            self._suspect(self.suspect | missing)
+            self.suspect |= missing
         if self.suspect and frame.id == cia301.SYNC:
             for k in range(len(self.slack)):
                 self.slack[k] += self.suspect >> k & 1
 
     def switch(self, switch: Switch) -> None:
         self._note((f"{switch.mask:b} switched to {switch.after:b}", switch.cause))
-        by_sync, commit = switch.cause == "SYNC", switch.commit
+        by_sync, sync = switch.cause == "SYNC", switch.sync
         for k in range(len(self.synced)):
             self.synced[k] += by_sync and switch.mask >> k & 1
-            if commit is not None and by_sync:  # the executor had guessed otherwise, if at all
-                self.slack[k] += (switch.mask & commit.homing) >> k & 1
+            if sync is not None and by_sync:  # the executor had guessed otherwise, if at all
+                self.slack[k] += (switch.mask & sync.homing) >> k & 1
         self.fallen |= switch.mask * (not by_sync)
-        if by_sync and commit is not None:
-            self.counts["realigned"] += (switch.mask & commit.locked).bit_count()
         self.counts["switches"] += switch.mask.bit_count() * by_sync
 
     def energise(self, coils: Energised) -> None:
@@ -140,7 +135,3 @@ class Record(Witness):
             self.slack[k] += ((self.fallen & intended) | (lied & ~self._lied)) >> k & 1
         self.fallen &= ~intended
         self._lied = lied
-
-    def _suspect(self, mask: int) -> None:
-        self.suspect = mask
-        self.misses(mask)

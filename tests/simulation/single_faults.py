@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from hyperbit.controller.program import unpack
 from tests.simulation.faults.fault import Deck, Fault, Row, Told
 from tests.simulation.faults.table import rows
-from tests.simulation.judge.arm import bits_of
-from tests.simulation.judge.verdict import require
 from tests.simulation.planner import ScriptedPlanner
+from tests.simulation.statements.arm import bits_of
+from tests.simulation.verdict import require
 
 if TYPE_CHECKING:
     from tests.simulation.world import World

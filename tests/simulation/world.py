@@ -18,13 +18,10 @@ from tests.simulation.executor.arms import draw_arm, draw_boards
 from tests.simulation.executor.habits import Habits
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.executor.strangers import Strangers
+from tests.simulation.executor.witness import Witnesses
 from tests.simulation.faults.processes import STILL
 from tests.simulation.faults.sight import Sight
 from tests.simulation.faults.trouble import Trouble
-from tests.simulation.feed import Feed, Witnesses
-from tests.simulation.judge.judge import Judge
-from tests.simulation.judge.traffic import Look
-from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.record import Record
 from tests.simulation.single_faults import SingleFaults
@@ -33,6 +30,7 @@ from tests.simulation.statements.daemon import statements_of_clients
 from tests.simulation.statements.executor import every_statement
 from tests.simulation.statements.objects import BoardObjects
 from tests.simulation.struck import StruckWorld
+from tests.simulation.verdict import Violation, require
 from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.one_fault import one_fault
 from tests.simulation.whole.planned_arms import draw_planned_arm
@@ -79,17 +77,12 @@ class World(StruckWorld):
             bus.name: BusModel(bus.name, bus.bitrate, agenda, drawn(bus.name), self._to_boards, self.tell)
             for bus in arm.wiring.buses
         }
-        self.judge = judge = Judge(arm)
         self.account = Account(self)
         self.account.judge(every_statement(self.account))
         self.objects = next(one for one in self.account.statements.every if isinstance(one, BoardObjects))
-        feed = Feed(judge, agenda, lambda counts: None)
-        witness = Witnesses(record, self.account, feed)
+        witness = Witnesses(record, self.account)
         self.habits = habits = Habits(drawn("habits"))
         self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, witness, habits)
-        judge.clients.playable = habits.simulation
-        judge.log.simulated, judge.log.watchdog = habits.simulation is not None, habits.watchdog
-        record.misses = judge.misses
         self.kinds = Kinds(arm.wiring, arm.timing)
         self.planner: ScriptedPlanner | Daemon
         self.strangers: Strangers | None = None
@@ -109,9 +102,7 @@ class World(StruckWorld):
             self.account.judge([*every_statement(self.account), *of_clients])
         cut_off = self.planner.cut_off if isinstance(self.planner, ScriptedPlanner) else self.planner.network.cut_off
         self.executor.connect(self.planner.connection.deliver, cut_off)
-        self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board, judge, self.account)
-        judge.looks_at({name: self._look(name) for name in self.boards.simulated.names})
-        judge.endings.goes_off = {name for name, variant in variants.items() if variant.error_state == "off"}
+        self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board, self.account)
         levels = arm.wiring.loss_levels[len(arm.actuators) :]
         self.let_go = sum(1 << k for k, level in zip(arm.wiring.paired, levels, strict=True) if level == 1)
         self.wiring, self.timing = arm.wiring, arm.timing
@@ -181,11 +172,9 @@ class World(StruckWorld):
             self.be_undisturbed()
 
     def disturb(self) -> None:
-        self.judge.disturb()
         self.account.disturbed()
 
     def be_undisturbed(self) -> None:
-        self.judge.quiet_from(self.agenda.now)
         self.account.rests()
 
     @property
@@ -226,10 +215,6 @@ class World(StruckWorld):
 
     def drawn_half(self) -> bool:
         return self._random.random() < 0.5
-
-    def _look(self, name: str) -> Look:
-        board = self.boards.simulated.board(name)
-        return Look(board.objects.number, board.objects.has, lambda: board.state)
 
     def _to_boards(self, bus: str, sent: OnItsWay, lost: bool) -> None:
         self.boards.hear(bus, sent, lost)

@@ -12,11 +12,9 @@ from tests.simulation.agenda import Agenda
 from tests.simulation.buses.boards import AttachedBoards
 from tests.simulation.buses.bus_model import OnItsWay
 from tests.simulation.facts import Energised, Switch
-from tests.simulation.judge.account import Commit
-from tests.simulation.judge.arm import merged
-from tests.simulation.judge.judge import Judge
 from tests.simulation.record import Record
 from tests.simulation.statements.account import Account, Sync
+from tests.simulation.statements.arm import merged
 
 FOREIGN_START = "foreign START"
 LIES = ("lose_sensor", "cut_wires", "short_wires")  # faults of end-stops
@@ -39,7 +37,6 @@ class BoardSide(AttachedBoards):
         agenda: Agenda,
         record: Record,
         send: Callable[[str, Frame], None],
-        judge: Judge,
         account: Account,
     ) -> None:
         self.names: dict[str, int] = {}
@@ -49,10 +46,10 @@ class BoardSide(AttachedBoards):
             self.names[name] = self.names.get(name, 0) | 1 << k
             self._masks[channel.bus] |= 1 << k
         self.silent = False
-        self._record, self._judge, self._account = record, judge, account
+        self._record, self._account = record, account
         self._read = True  # whether end-stops may have changed
         self._paired = sum(1 << k for k in wiring.paired)
-        self._drives, self._coils, self._on = -1, 0, 0  # unknown
+        self._drives, self._coils = -1, 0  # unknown
         self._interlocks = tuple(lock.name for lock in wiring.interlocks)
         self.opened: set[str] = set()
         super().__init__(wiring, timing, variants, agenda, send)
@@ -61,8 +58,6 @@ class BoardSide(AttachedBoards):
         self._levels = [(c.input is not None, c.input_contracted is not None, c.inverted) for c in wiring.channels]
         for actuator in self._actuators:
             actuator.observers.append(self._end_stop_changed)
-        judge.at(agenda.now)
-        judge.drives(self._drives, 0, "start")
         account.drives(self._drives)
         self._read_ends()
 
@@ -76,7 +71,6 @@ class BoardSide(AttachedBoards):
         ):
             extended |= (has and actuator.reads(1) ^ ("input" in inverted)) << k
             contracted |= (has_contracted and actuator.reads(0) ^ ("input_contracted" in inverted)) << k
-        self._judge.reads(extended, contracted)
         self._account.reads(extended, contracted)
         self._read = False
 
@@ -177,28 +171,20 @@ class BoardSide(AttachedBoards):
         """Records the changes of the outputs since the last call."""
         if self._drives < 0:
             return
-        every = belongs_to if isinstance(belongs_to, tuple) else ()
-        commit = next((one for one in every if isinstance(one, Commit)), None)
-        sync = next((one for one in every if isinstance(one, Sync)), None)
+        sync = belongs_to if isinstance(belongs_to, Sync) else None
         coils = self.simulated.coils()
         after = self._driven(coils, cause)
         on = sum(1 << k for k, pair in enumerate(coils) if self._paired >> k & 1 and any(pair))
         was_on, came = self._coils, on & ~self._coils | on & (after ^ self._drives)
         self._coils = on
         changed, self._drives = after ^ self._drives, after
-        if changed or self._read or on != self._on:
-            self._judge.at(self._agenda.now)
-            self._on = on
-            self._judge.energises(on, came, after, cause, commit)
-            if changed:
-                self._judge.drives(after, changed, cause, commit)
-            if self._read:
-                self._read_ends()
+        if self._read:
+            self._read_ends()
         for bus, mask in self._masks.items():
             if changed & mask:
-                self._record.switch(Switch(changed & mask, after, cause, bus, commit, sync))
-                self._account.switches(Switch(changed & mask, after, cause, bus, commit, sync))
-            coils_of_bus = Energised(came & mask, on & mask, came & mask & ~changed, cause, bus, commit, sync)
+                self._record.switch(Switch(changed & mask, after, cause, bus, sync))
+                self._account.switches(Switch(changed & mask, after, cause, bus, sync))
+            coils_of_bus = Energised(came & mask, on & mask, came & mask & ~changed, cause, bus, sync)
             self._record.energise(coils_of_bus)
             if came & mask or (on ^ was_on) & mask:
                 self._account.energises(coils_of_bus)

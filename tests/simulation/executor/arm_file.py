@@ -16,7 +16,7 @@ import pytest
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.executor.arm.arm import ExecutedArm, read_arm
 from hyperbit.drivers.canopen.wiring import Channel, Timing
-from tests.simulation.judge.verdict import require
+from tests.simulation.verdict import require
 
 WORDS = ("contracted", "extended")
 STAGE = 0.1  # [s] of a stage of the contraction at the end, beside its travel, margin and rest

@@ -26,47 +26,16 @@ from hyperbit.controller.executor.process.journal_file import FileJournal
 from hyperbit.controller.flight_recorder import FlightRecorder
 from hyperbit.controller.host.process import Log, Notify, Quit
 from hyperbit.controller.program import TICK, Goodbye, Up
-from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import BusChanged, SendFailed
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.bus_model import BusModel
 from tests.simulation.executor.habits import Habits
+from tests.simulation.executor.witness import Witness
 
 MEMORY = Path("/dev/shm")
 SOON = 0.001  # [s] before diagnostics are due at which a tick asks for the figures of the process
 LOOP_FAILS = "the simulated loop fails"  # text of a defect that the world draws
 WAKE_UP = 0.0002  # [s], longest wake-up time of a process that is not stalled
-
-
-class Witness:
-    """Sees what an executor takes and does; by default it sees nothing."""
-
-    def started(self) -> None:
-        """Is called after the start of a process."""
-
-    def killed(self) -> None:
-        """Is called after the end of a process."""
-
-    def hurries(self) -> None:
-        """Is called before a process that ends in order is asked to end at once."""
-
-    def told(self, event: Event) -> None:
-        """Is called before an event is handled."""
-
-    def sends(self, bus: str, frame: Frame) -> object:
-        """Called before a frame is handed out; returns the commit of the frame."""
-
-    def says(self, message: Up) -> None:
-        """Is called before a message is sent, once for all its clients."""
-
-    def tells(self, client: ClientId, message: Up) -> None:
-        """Is called before a message to a client is sent, for each client."""
-
-    def logs(self, level: int, text: str) -> None:
-        """Is called with each line of the log."""
-
-    def notifies(self, text: str) -> None:
-        """Is called with each message for systemd."""
 
 
 class ExecutorProcess:

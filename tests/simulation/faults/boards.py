@@ -8,7 +8,7 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
 from hyperbit.drivers.canopen.wire.events import BusOverrun, FrameIgnored
 from tests.simulation.faults.fault import AT_ONCE, Fault, Place, Told, row
-from tests.simulation.judge.verdict import require
+from tests.simulation.verdict import require
 
 ERRORS = (0x2310, 0x3320, 0x8F00, 0x5000, 0xFF01)
 NMT = {Command.STOP: "stopped", Command.PRE_OPERATIONAL: "pre-operational"}

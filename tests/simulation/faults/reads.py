@@ -6,7 +6,7 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.faults.fault import AT_ONCE, Fault, Place, Told, row
 from tests.simulation.faults.sight import Bits
-from tests.simulation.judge.fieldbus.wires import bytes_of
+from tests.simulation.fieldbus.judge.wires import bytes_of
 
 LONGEST_TURN = 6.0  # [s] that is worth waiting for
 READ_BACK = 2.0  # [s] from a switch until outputs that do not follow are told: about a second, and eight reads

@@ -8,10 +8,10 @@ from hyperbit.drivers.canopen.wiring import Timing, Wiring
 from hyperbit.drivers.simulation.firmware import SimulatedBoard
 from hyperbit.drivers.simulation.variants import Variant
 from tests.simulation.buses.boards import AttachedBoards
-from tests.simulation.judge.fieldbus.needs import needs_of
-from tests.simulation.judge.fieldbus.outcomes import PRE_OPERATIONAL, Found
-from tests.simulation.judge.fieldbus.watching import Watching
-from tests.simulation.judge.fieldbus.wires import JudgedWiring, Look
+from tests.simulation.fieldbus.judge.needs import needs_of
+from tests.simulation.fieldbus.judge.outcomes import PRE_OPERATIONAL, Found
+from tests.simulation.fieldbus.judge.watching import Watching
+from tests.simulation.fieldbus.judge.wires import JudgedWiring, Look
 
 REFUSALS = {0x0606_0000: "hardware error"}  # words of abort codes; other ones are for a moment
 PDO_ID = 1 << 31 | 0x7FF  # bits of a PDO's COB-ID that matter

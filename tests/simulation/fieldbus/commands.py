@@ -9,9 +9,9 @@ from typing import NamedTuple
 from hyperbit.drivers.canopen.faults import Busy
 from tests.simulation.buses.bus_model import BusModel
 from tests.simulation.faults.fault import Fault, Maker, Place, Row, Told
+from tests.simulation.fieldbus.judge.wires import bits_in
 from tests.simulation.fieldbus.use import COMMITTED, UsedArm
-from tests.simulation.judge.fieldbus.wires import bits_in
-from tests.simulation.judge.verdict import require
+from tests.simulation.verdict import require
 
 AT_ONCE = 0.05  # [s] until a failure is told
 READ_BACK = 1.3  # [s] from a switch until outputs are read

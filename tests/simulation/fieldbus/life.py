@@ -13,11 +13,11 @@ from tests.simulation.agenda import Agenda
 from tests.simulation.faults.fault import Deck, Fault, Told
 from tests.simulation.faults.left import BUSY_FOR
 from tests.simulation.fieldbus.arms import Drawn
+from tests.simulation.fieldbus.judge.boots import Boots
+from tests.simulation.fieldbus.judge.outcomes import Found
+from tests.simulation.fieldbus.judge.switching import SYNC, Switching
 from tests.simulation.fieldbus.site import TOOL, Site
-from tests.simulation.judge.fieldbus.boots import Boots
-from tests.simulation.judge.fieldbus.outcomes import Found
-from tests.simulation.judge.fieldbus.switching import SYNC, Switching
-from tests.simulation.judge.verdict import Violation, require
+from tests.simulation.verdict import Violation, require
 
 LONGEST_BOOT = 25.0  # [s] with repeated requests
 SPLIT = ("outputs in two RPDOs", "inputs in two TPDOs")  # each boot configures these anew, though nothing has changed

@@ -8,7 +8,7 @@ from hyperbit.drivers.canopen.wire.cia301 import Frame, State
 from tests.simulation.faults.fault import Deck, Fault, Row
 from tests.simulation.fieldbus.life import LONGEST_BOOT
 from tests.simulation.fieldbus.use import UsedArm
-from tests.simulation.judge.verdict import require
+from tests.simulation.verdict import require
 
 SDO_TIMEOUT = 0.5  # [s] of one request
 MOST_RESTARTS = 5  # of one board in a boot

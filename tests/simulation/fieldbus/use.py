@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from tests.simulation.faults.fault import Switch
+from tests.simulation.fieldbus.judge.wires import bytes_of
 from tests.simulation.fieldbus.life import Life
-from tests.simulation.judge.fieldbus.wires import bytes_of
-from tests.simulation.judge.verdict import require
+from tests.simulation.verdict import require
 
 COMMITTED = 0.6  # [s] until a command must be over
 LONGEST_TURN = 12.0  # [s] of reads that is worth waiting for

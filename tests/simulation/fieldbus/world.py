@@ -15,7 +15,7 @@ from tests.simulation.fieldbus.arms import draw
 from tests.simulation.fieldbus.life import LONGEST_BOOT
 from tests.simulation.fieldbus.mid_boot import disturb_boot
 from tests.simulation.fieldbus.use import UsedArm
-from tests.simulation.judge.verdict import require
+from tests.simulation.verdict import require
 
 MOST_REFUSALS = 2  # boots of one arm that end without all boards
 KEPT = 0.25  # [s] for which nothing else may be told

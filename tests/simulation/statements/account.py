@@ -36,9 +36,9 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import FrameReceived
 from tests.simulation.buses.bus_model import RPDOS, TPDOS
-from tests.simulation.executor.process import Witness
+from tests.simulation.executor.witness import Witness
 from tests.simulation.facts import Energised, Switch
-from tests.simulation.judge.arm import JudgedArm, bits_of, merged
+from tests.simulation.statements.arm import JudgedArm, bits_of, merged
 from tests.simulation.statements.statement import Statement, Statements
 
 if TYPE_CHECKING:
@@ -130,6 +130,7 @@ class Sync(NamedTuple):
         commanded_at: time of the RPDOs before it [s].
         program: number of the program that asked for its RPDOs; None: another motion.
         strict: whether that is strict.
+        homing: mask of the actuators whose states were unknown, as told.
         asked: motions that asked for its RPDOs then, and are not barred now; with the states of their due stages.
     """
 
@@ -137,6 +138,7 @@ class Sync(NamedTuple):
     commanded_at: float
     program: int | None
     strict: bool
+    homing: int
     asked: list[tuple[Motion, list[int]]]
 
 
@@ -413,7 +415,7 @@ class Account(Witness):
             asked = [(motion, motion.due(self.now)) for motion in self.wanted]
             number = None if self.running is None else self.running.number
             strict = self.running is not None and self.running.strict
-            self._commanded[bus] = Sync(self.now, self.now, number, strict, asked)
+            self._commanded[bus] = Sync(self.now, self.now, number, strict, self.homing, asked)
         elif frame.id == cia301.NMT and frame.data[1:]:
             name = f"{bus}/{frame.data[1]}"
             if name in self.world.boards.simulated.names:

@@ -29,8 +29,8 @@ from hyperbit.controller.program import (
 )
 from hyperbit.drivers.canopen.wire.events import FrameReceived
 from tests.simulation.facts import Energised, Switch
-from tests.simulation.judge.arm import bits_of
 from tests.simulation.statements.account import EPSILON, Account, Motion
+from tests.simulation.statements.arm import bits_of
 from tests.simulation.statements.statement import Statement
 
 NOTICED = 0.1  # [s] until a silence is noticed

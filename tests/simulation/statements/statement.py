@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
-from tests.simulation.judge.verdict import Violation
+from tests.simulation.verdict import Violation
 
 if TYPE_CHECKING:
     from tests.simulation.statements.account import Account

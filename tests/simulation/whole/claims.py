@@ -17,7 +17,7 @@ from typing import Any
 
 from hyperbit.controller.gateway import daemon as claim_module
 from hyperbit.controller.gateway.daemon import AlreadyRunning, Claim
-from tests.simulation.judge.verdict import require
+from tests.simulation.verdict import require
 from tests.simulation.whole.zenoh_model import Bytes, matches
 
 GRACE, PATIENCE = 0.5, 12.0  # [s] after the claim until the last look; for which a silent token bars

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Set
 from typing import TYPE_CHECKING, Any
 
-from tests.simulation.judge.verdict import require
+from tests.simulation.verdict import require
 
 if TYPE_CHECKING:
     from tests.simulation.whole.planner_process import PlannerProcess

@@ -31,8 +31,8 @@ from hyperbit.controller.planning.loop import Loop, PlannerFailed, Services
 from hyperbit.controller.planning.planner import Planner
 from hyperbit.controller.planning.workers import pool as pool_module
 from hyperbit.controller.planning.workers.computations import build_scene, build_tables
-from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.network import SimulatedLink
+from tests.simulation.verdict import Violation, require
 from tests.simulation.whole.workers import LateWorkers
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from hyperbit.controller.planning.workers.pool import THREADS, Workers
 from hyperbit.controller.search.clock import WorkClock
 from hyperbit.controller.workspace.densities import Densities
 from tests.simulation.agenda import Agenda
-from tests.simulation.judge.verdict import require
+from tests.simulation.verdict import require
 
 ABANDONED_WITHIN = 0.05  # [s]
 LONG_PLAN = 4.0  # times as long as other searches takes a plan that is only described

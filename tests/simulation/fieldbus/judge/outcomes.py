@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from tests.simulation.judge.fieldbus.wires import INPUTS, OUTPUTS, JudgedBoard, bytes_of
+from tests.simulation.fieldbus.judge.wires import INPUTS, OUTPUTS, JudgedBoard, bytes_of
 
 OPERATIONAL, STOPPED, PRE_OPERATIONAL = 5, 4, 127
 PROFILE, HAS_INPUTS, HAS_OUTPUTS = 0x191, 1 << 16, 1 << 17

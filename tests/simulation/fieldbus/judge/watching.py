@@ -6,10 +6,10 @@ from collections import Counter
 from itertools import pairwise
 from typing import Any
 
-from tests.simulation.judge.fieldbus.needs import RPDOS, TPDOS, needs_of
-from tests.simulation.judge.fieldbus.outcomes import Found, beats
-from tests.simulation.judge.fieldbus.wires import INPUTS, INVALID, JudgedBoard, JudgedWiring, Look, bits_in, bytes_of
-from tests.simulation.judge.verdict import require
+from tests.simulation.fieldbus.judge.needs import RPDOS, TPDOS, needs_of
+from tests.simulation.fieldbus.judge.outcomes import Found, beats
+from tests.simulation.fieldbus.judge.wires import INPUTS, INVALID, JudgedBoard, JudgedWiring, Look, bits_in, bytes_of
+from tests.simulation.verdict import require
 
 TICK = 0.01
 FRAME_BITS, SHARE, PACE = 135, 0.01, 0.05  # reads in turn: share of the bit rate, and shortest time between two [s]

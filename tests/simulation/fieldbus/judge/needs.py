@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tests.simulation.judge.fieldbus.outcomes import MASTER, Found, beats
-from tests.simulation.judge.fieldbus.wires import INPUTS, INVALID, JudgedBoard, Look, bits_in, bytes_of
-from tests.simulation.judge.verdict import require
+from tests.simulation.fieldbus.judge.outcomes import MASTER, Found, beats
+from tests.simulation.fieldbus.judge.wires import INPUTS, INVALID, JudgedBoard, Look, bits_in, bytes_of
+from tests.simulation.verdict import require
 
 EVENT_TIME = 1000  # [ms] of a TPDO
 WAGO = 0x21  # vendor

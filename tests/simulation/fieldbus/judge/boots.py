@@ -6,8 +6,8 @@ import re
 from collections import Counter
 from typing import Any
 
-from tests.simulation.judge.fieldbus.needs import judge_objects, needs_of
-from tests.simulation.judge.fieldbus.outcomes import (
+from tests.simulation.fieldbus.judge.needs import judge_objects, needs_of
+from tests.simulation.fieldbus.judge.outcomes import (
     LIMITS,
     OPERATIONAL,
     PRE_OPERATIONAL,
@@ -17,8 +17,8 @@ from tests.simulation.judge.fieldbus.outcomes import (
     beats,
     outcome_of,
 )
-from tests.simulation.judge.fieldbus.wires import INPUTS, JudgedBoard, JudgedWiring, Look, bytes_of
-from tests.simulation.judge.verdict import require
+from tests.simulation.fieldbus.judge.wires import INPUTS, JudgedBoard, JudgedWiring, Look, bytes_of
+from tests.simulation.verdict import require
 
 MOST_READS = 10  # of one object in a boot: to find it, to search other PDOs, twice to settle, after writes, at the end
 MOST_WRITES = 6  # likewise: to disable and enable a PDO, and the one that is used in its place

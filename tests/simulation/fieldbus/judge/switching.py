@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from tests.simulation.judge.fieldbus.wires import INVALID, JudgedBoard, JudgedWiring, Look, bits_in
-from tests.simulation.judge.verdict import require
+from tests.simulation.fieldbus.judge.wires import INVALID, JudgedBoard, JudgedWiring, Look, bits_in
+from tests.simulation.verdict import require
 
 Key = tuple[str, int]  # bus and COB-ID
 SYNC = 0x080

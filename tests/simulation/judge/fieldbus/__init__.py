@@ -1,1 +1,0 @@
-"""The judge of boards, buses and the CANopen master."""
