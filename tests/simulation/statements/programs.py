@@ -30,7 +30,7 @@ from hyperbit.controller.program import (
 from hyperbit.drivers.canopen.wire.events import FrameReceived
 from tests.simulation.facts import Energised, Switch
 from tests.simulation.statements.account import EPSILON, Account, Motion
-from tests.simulation.statements.arm import bits_of
+from tests.simulation.statements.arm import bits_of, merged
 from tests.simulation.statements.statement import Statement
 
 NOTICED = 0.1  # [s] until a silence is noticed
@@ -198,28 +198,33 @@ class DoneIsProven(Statement):
 
 
 class StrictStagesWait(Statement):
-    """A stage of a strict program begins when nothing moves, and after an answer to an open question."""
+    """A stage of a strict program begins when nothing moves, and after the answer to an open question.
+
+    A question is void once the arm is no longer where it begins.
+    """
 
     number = 14
 
     def __init__(self, account: Account) -> None:
         super().__init__(account)
-        self._question, self._asked_at = -1, math.inf
+        self._question: Question | None = None
+        self._asked_at = 0.0
 
     def started(self) -> None:
-        self._question, self._asked_at = -1, math.inf
+        self._question = None
 
     def says(self, message: Up) -> None:
         if isinstance(message, Question):
-            self._question, self._asked_at = message.question, self.account.now
+            self._question, self._asked_at = message, self.account.now
         elif isinstance(message, Accepted | Ended) or (isinstance(message, Replaced) and message.accepted):
-            self._question, self._asked_at = -1, math.inf
+            self._question = None
 
     def told(self, event: Event) -> None:
         if isinstance(event, FromClient) and isinstance(event.message, Clearance):
-            message = event.message
-            if event.client == self.account.planner and message.question == self._question and message.touched is None:
-                self._question, self._asked_at = -1, math.inf
+            asked, answer = self._question, event.message
+            mine = asked is not None and event.client == self.account.planner and answer.question == asked.question
+            if mine and answer.touched is None:
+                self._question = None
 
     def switches(self, switch: Switch) -> None:
         account, sync = self.account, switch.sync
@@ -228,7 +233,10 @@ class StrictStagesWait(Statement):
         motion, mask = account.programs.get(sync.program), switch.mask & ~account.locked & ~account.homing
         if not mask or motion is None or not sync.strict:
             return
-        self.require(sync.commanded_at < self._asked_at, f"{mask:b} switch while question {self._question} is open")
+        if self._void():
+            self._question = None
+        answered = self._question is None or sync.commanded_at < self._asked_at
+        self.require(answered, lambda: f"{mask:b} switch while {self._question} is open")
         if not account.clear:
             return
         travels = [
@@ -237,6 +245,13 @@ class StrictStagesWait(Statement):
             if account.switched_at[k] < sync.commanded_at < account.due(k) - TICK and not account.arrived >> k & 1
         ]
         self.require(not travels, f"a strict stage switches {mask:b} while {travels} travel")
+
+    def _void(self) -> bool:
+        pins, asked = self.account.pins[-1], self._question
+        if asked is None:
+            return False
+        read, stage = self.account.arm.measured(pins.extended, pins.contracted, pins.states), unpack(asked.stage)
+        return merged(read ^ stage, read, pins.states) != unpack(asked.start)
 
 
 class StagesBeginInTime(Statement):

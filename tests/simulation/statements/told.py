@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from hyperbit.controller.executor.core.events import ClientGone, Event, FromClient
@@ -28,12 +29,18 @@ LATE = 0.1  # [s] that a snapshot may be late
 
 
 class SnapshotsAreTrue(Statement):
-    """What a snapshot calls known was true at a time of the last 0.1 s; what still travels is told as moving."""
+    """What a snapshot calls known was true at a time of the last 0.1 s; what has switched since the boot moves."""
 
     number = 5
 
+    def __init__(self, account: Account) -> None:
+        super().__init__(account)
+        self._booted_at = -math.inf
+
     def says(self, message: Up) -> None:
         account = self.account
+        if isinstance(message, Snapshot) and message.mode == "starting":
+            self._booted_at = account.now
         if not isinstance(message, Snapshot) or message.mode not in ("ready", "executing") or not account.clear:
             return
         measured, known, arm = unpack(message.measured), unpack(message.known), account.arm
@@ -61,7 +68,11 @@ class SnapshotsAreTrue(Statement):
         """Returns the mask of the actuators that were switched a while ago, and that nobody may call arrived."""
         account, mask = self.account, 0
         for k, at in enumerate(account.switched_at):
-            if at < now - LATE / 2 and now < account.due(k) - EPSILON and not account.arrived >> k & 1:
+            if (
+                self._booted_at < at < now - LATE / 2
+                and now < account.due(k) - EPSILON
+                and not account.arrived >> k & 1
+            ):
                 mask |= 1 << k
         return mask
 
