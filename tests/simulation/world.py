@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Callable
 from random import Random
@@ -35,14 +36,18 @@ from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.one_fault import one_fault
 from tests.simulation.whole.planned_arms import draw_planned_arm
 
-SINGLE_FAULTS = 10  # in each round of a world with a scripted planner
-TROUBLED, WHOLE_TROUBLED = 0.35, 0.8  # share of these rounds that have a time with many faults
+ROUNDS = ("one fault",) * 6 + ("requests", "requests", "trouble")  # of worlds with a scripted planner
+WHOLE_TROUBLED = 0.8  # share of the rounds of a whole daemon that have a time with many faults
 PEACEFUL = 0.3  # share of the worlds with the whole daemon that have no trouble
 FILES = 0.9  # share of the arms that are written to a file and read
 PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all trouble; late SDO answers take long
 
 
 ECHO_LOST = 0.05  # [s] after which the executor knows that an echo was lost
+
+
+class StepsAreOver(BaseException):
+    """A world has run all its steps. Nothing between the world and its agenda may catch it."""
 
 
 class World(StruckWorld):
@@ -109,29 +114,45 @@ class World(StruckWorld):
         self.sight = Sight(arm.wiring, arm.timing, self.boards, variants)
         self.trouble = Trouble(self, drawn("trouble"), seed)
         self.single_faults = SingleFaults(self, drawn("single faults"), seed)
-        self._random = drawn("periods")
+        self._random, self._end = drawn("periods"), math.inf
         self._peaceful = whole and drawn("peace").random() < PEACEFUL
         self.executor.start()
 
     def run(self, steps: int) -> None:
-        """Runs `steps` steps, in turns with requests but no trouble, with both, and with neither."""
-        end = self.agenda.steps + steps
+        """Runs `steps` steps: the arm becomes ready, then come rounds of requests, faults and trouble."""
+        self._end = self.agenda.steps + steps
+        try:
+            self.calm()
+            while True:
+                if self.daemon is None:
+                    self._scripted_round(self._random.choice(ROUNDS))
+                else:
+                    self._whole_round()
+        except StepsAreOver:
+            self._end = math.inf
+
+    def _scripted_round(self, kind: str) -> None:
+        self._let_strangers_stop(kind != "one fault")
+        if kind == "one fault":
+            self.single_faults.happen()
+            return
+        self.planner.be_calm(False)
+        if kind == "requests":
+            self.pass_time(self._random.uniform(0.5, 2.5))
+        else:
+            self._trouble(6.0)
+
+    def _whole_round(self) -> None:
+        self.planner.be_calm(False)
+        self.pass_time(self._random.uniform(1.0, 4.0))
+        if self._random.random() < WHOLE_TROUBLED and not self._peaceful:
+            self._trouble(15.0)
+
+    def _trouble(self, longest: float) -> None:
+        self.disturb()
+        self.trouble.begin()
+        self.pass_time(self._random.uniform(2.0, longest))
         self.calm()
-        while True:
-            if self.daemon is None:
-                self._let_strangers_stop(False)
-                for _ in range(SINGLE_FAULTS):
-                    self.single_faults.happen()
-            self.planner.be_calm(False)
-            self._let_strangers_stop(True)
-            self.pass_time(self._random.uniform(1.0, 4.0 if self.daemon is not None else 2.5))
-            if self._random.random() < (WHOLE_TROUBLED if self.daemon is not None else TROUBLED) and not self._peaceful:
-                self.disturb()
-                self.trouble.begin()
-                self.pass_time(self._random.uniform(2.0, 15.0 if self.daemon is not None else 6.0))
-                self.calm()
-            if self.agenda.steps >= end:
-                break
 
     def pass_time(self, seconds: float) -> None:
         until = self.agenda.now + seconds
@@ -140,6 +161,8 @@ class World(StruckWorld):
 
     def one_step(self) -> None:
         """Runs the next event, and judges it."""
+        if self.agenda.steps >= self._end:
+            raise StepsAreOver
         self.agenda.step()
         self.record.doubt(self.intended)
         self.account.steps()
