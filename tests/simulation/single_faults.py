@@ -118,7 +118,7 @@ class SingleFaults:
             fault.end()
             self._watch(name, told, SHOWN)
             if not told.lost:
-                self._require_mode("ready", name)
+                self._come_back(name)
             planner.unlocks = True
             return
         world.wait(lambda: self._tells(name, told), f"told: {name}", told.within + SHOWN)

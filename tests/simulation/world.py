@@ -36,7 +36,7 @@ from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.one_fault import one_fault
 from tests.simulation.whole.planned_arms import draw_planned_arm
 
-ROUNDS = ("one fault",) * 6 + ("requests", "requests", "trouble")  # of worlds with a scripted planner
+ROUNDS = ("one fault",) * 5 + ("requests",) * 3 + ("trouble",)  # of worlds with a scripted planner
 WHOLE_TROUBLED = 0.8  # share of the rounds of a whole daemon that have a time with many faults
 PEACEFUL = 0.3  # share of the worlds with the whole daemon that have no trouble
 FILES = 0.9  # share of the arms that are written to a file and read

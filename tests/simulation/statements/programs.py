@@ -75,12 +75,11 @@ class ValidProgramsRun(Statement):
         account, program = self.account, self.account.message
         if not isinstance(program, Program) or not isinstance(message, Accepted | Declined):
             return
-        if isinstance(message, Accepted):
-            self._declined[program.strict] = 0
-        elif account.world.daemon is None and account.world.planner.calm and account.mode == "ready" and account.clear:
-            self._declined[program.strict] += 1
-            count = self._declined[program.strict]
-            self.require(count < 4, f"{count} programs in a row are declined, strict: {program.strict}: {message}")
+        strict, accepted = program.strict, isinstance(message, Accepted)
+        correct = account.world.daemon is None and account.world.planner.calm and account.clear
+        if accepted or (correct and account.mode == "ready"):
+            count = self._declined[strict] = 0 if accepted else self._declined[strict] + 1
+            self.require(count < 4, f"{count} programs in a row are declined, strict: {strict}: {message}")
 
 
 class OneResultEach(Statement):
@@ -265,7 +264,13 @@ class StagesBeginInTime(Statement):
 
     def steps(self) -> None:
         account, motion = self.account, self.account.running
-        rests = motion is not None and account.clear and not account.homing and not account.questioned
+        rests = (
+            motion is not None
+            and motion.barred_at == math.inf
+            and account.clear
+            and not account.homing
+            and not account.questioned
+        )
         if rests:
             arm, shown = account.arm, account.shown
             quiet = max(account.due(k) + arm.margin[k] for k in range(arm.count)) + arm.rest
