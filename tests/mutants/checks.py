@@ -99,7 +99,7 @@ def simulate(mutant: Mutant | None, steps: int, first: int = 0) -> Result:
                     world.run(MESSAGES_A_SEED)
                 else:
                     watch.world = simulated = world_of(seed, kind)
-                    simulated.run(min(STEPS_A_SEED, steps - turns.steps))
+                    simulated.run(min(STEPS_A_SEED[kind], steps - turns.steps))
             except Stuck:
                 why = "does not end"
             except BaseException as error:

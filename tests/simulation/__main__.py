@@ -22,7 +22,7 @@ from tests.simulation.whole.planner_process import LOGS
 from tests.simulation.world import World
 
 KINDS = ("scripted", "whole", "boards")
-STEPS_A_SEED = 5_000  # of each kind: many arms find more than long lives
+STEPS_A_SEED = {"scripted": 5_000, "whole": 15_000, "boards": 5_000}  # many arms find more than long lives
 LONG = 100_000  # steps of scripted worlds, within which each statement must have been armed
 MOST_FAILED = 20  # failed seeds, after which the run ends
 
@@ -31,7 +31,7 @@ def main() -> int:
     """Runs one seed, or as many seeds as the steps need; returns 1 if a seed fails."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, help="run only this seed; without it, many seeds from 0")
-    parser.add_argument("--steps", type=int, default=STEPS_A_SEED, help="number of steps of all seeds")
+    parser.add_argument("--steps", type=int, default=15_000, help="number of steps of all seeds")
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--kind", choices=KINDS, help="only worlds of this kind; without it, all in turn")
     parser.add_argument("--events", type=Path, metavar="FILE", help="replay the recorded events of a process instead")
@@ -47,7 +47,7 @@ def main() -> int:
     failed: list[str] = []
     while turns.steps < options.steps and len(failed) < MOST_FAILED:
         kind, seed = turns.next()
-        most = -(-options.steps // len(kinds)) if told else min(STEPS_A_SEED, options.steps - turns.steps)
+        most = -(-options.steps // len(kinds)) if told else min(STEPS_A_SEED[kind], options.steps - turns.steps)
         turns.ran(kind, run(seed, kind, most, told, counts, failed))
         if told and all(turns.of.values()):
             break

@@ -18,7 +18,7 @@ Payload = dict[str, Any]
 OWED_WITHIN = 12.0  # [s]: results of an earlier process wait until clients have reconnected
 MOST_HUNG = 12  # goals that wait for a hung worker in vain, until the planner starts again
 SETTLES = 1.2  # [s]: what arrives within a second after a standstill may be refused as too late
-GOALS, DRAWN = 3, 3  # that succeed in calm; further requests
+GOALS, TOGETHER, DRAWN = 3, 3, 4  # most goals in calm one after another, and at once; most further requests
 MOST_PROGRAMS = 30  # programs, one each 0.1 s, until one is accepted: the last switch may still be read back
 RESTARTED_WITHIN = 10.0  # [s] until a planner or an executor that was killed has started again
 HUNG_WITHIN = 200.0  # [s] until a planner with a hung worker has started again
@@ -58,15 +58,16 @@ def run_a_goal(world: World, daemon: Daemon) -> None:
         if answer is not None or daemon.process is process:
             break
     require(answer is not None and answer["accepted"], f"no goal was accepted after all trouble: {answer}")
-    for _ in range(GOALS):
+    for _ in range(world.drawn(GOALS)):
         assert answer is not None
         name = answer["id"]
         world.wait(lambda name=name: name in daemon.results, "done", DONE_WITHIN)  # type: ignore[misc]
         world.account.see("tried", daemon.results[name])
         answer = ask(world, daemon, "goal", daemon.clients.wishes.sure_goal(), "accepted")
-    together = [daemon.clients.ask("goal", daemon.clients.wishes.simple_goal(), drawn="accepted") for _ in range(3)]
+    goals = [daemon.clients.wishes.simple_goal() for _ in range(world.drawn(TOGETHER))]
+    together = [daemon.clients.ask("goal", goal, drawn="accepted") for goal in goals]
     world.wait(lambda: all(sent.replies for sent in together), "answered", SEARCHED_WITHIN)
-    for _ in range(DRAWN):
+    for _ in range(world.drawn(DRAWN)):
         world.wait(lambda: daemon.at_rest and world.settled(), "ready for a request", world.ready_within)
         ask(world, daemon, *daemon.clients.wishes.drawn())
     daemon.wanted = False

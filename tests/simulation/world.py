@@ -239,6 +239,9 @@ class World(StruckWorld):
     def drawn_half(self) -> bool:
         return self._random.random() < 0.5
 
+    def drawn(self, most: int) -> int:
+        return self._random.randint(0, most)
+
     def _to_boards(self, bus: str, sent: OnItsWay, lost: bool) -> None:
         self.boards.hear(bus, sent, lost)
 

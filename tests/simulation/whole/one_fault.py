@@ -47,8 +47,6 @@ def codes(daemon: Daemon) -> set[str]:
 def _rows(world: World, daemon: Daemon, random: Random) -> list[Row]:
     clients, snapshot, labels = daemon.clients, daemon.snapshot, daemon.executed.actuators
     assert snapshot is not None
-    tip = daemon.space.tips[daemon.space.index[unpack(snapshot.measured)]].tolist()
-    here = {"regions": [{"disc": {"centre": tip, "radius": 0.01}, "name": "here"}]}
     booting = frozenset(("unknown-position", "executor-lost", "outputs-off", "board-lost"))
 
     def fill_disk() -> None:
@@ -60,8 +58,11 @@ def _rows(world: World, daemon: Daemon, random: Random) -> list[Row]:
         Row("clock-set", lambda: daemon.set_clock(3600.0), lambda: None, WARNED),
         Row("ledger-unwritten", fill_disk, daemon.mend, TOLD_WITHIN),
         Row("executor-lost", world.executor.kill, lambda: None, BOOTED_WITHIN, booting),
-        Row("in-obstacle", lambda: clients.ask("obstacles", here), lambda: None, TOLD_WITHIN),
     ]
+    if (at := daemon.space.index.get(unpack(snapshot.measured))) is not None:  # a jog may leave what the arm may take
+        here = {"disc": {"centre": daemon.space.tips[at].tolist(), "radius": 0.01}, "name": "here"}
+        regions = {"regions": [here]}
+        rows.append(Row("in-obstacle", lambda: clients.ask("obstacles", regions), lambda: None, TOLD_WITHIN))
     free = [label for k, label in enumerate(labels) if not unpack(snapshot.locked) >> k & 1]
     if free:
         label = random.choice(free)
