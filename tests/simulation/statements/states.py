@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from hyperbit.controller.executor.core.events import Event, FromClient
-from hyperbit.controller.program import Clearance, Question, Snapshot, Up, unpack
+from hyperbit.controller.program import Accepted, Clearance, Question, Snapshot, Up, unpack
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.buses.bus_model import RPDOS
 from tests.simulation.facts import Switch
@@ -153,13 +153,18 @@ class NoStageTouchesAnObstacle(OfTheArm):
         self._among = exchange.in_force  # when the last RPDO was handed out
         self._sure = False  # whether the executor knew then where the arm was
         self._asked: dict[int, tuple[Question, frozenset[Disc]]] = {}  # by number, with the obstacles in force
+        self._unchecked: set[int | None] = set()  # jogs from where nobody knows, as their answers say
 
     def started(self) -> None:
         self._asked.clear()
+        self._unchecked.clear()
 
     def says(self, message: Up) -> None:
+        asked = self.account.message
         if isinstance(message, Question):
             self._asked[message.question] = message, self.exchange.in_force
+        elif isinstance(message, Accepted) and self.account.homing and asked.name.startswith("jog "):
+            self._unchecked.add(message.program)
 
     def told(self, event: Event) -> None:
         """A stage is called clear only if it touches nothing that was in force all the time."""
@@ -183,7 +188,9 @@ class NoStageTouchesAnObstacle(OfTheArm):
             return
         starts = [motion.start for motion, _ in switch.sync.asked] if switch.sync is not None else []
         if not starts or any(start not in self.mechanics.tips for start in starts):
-            return  # a jog from no configuration is not checked, and its answer says so
+            return  # a jog from no configuration is not checked, either
+        if switch.sync is not None and switch.sync.program in self._unchecked:
+            return
         locked, measured = unpack(snapshot.locked), unpack(snapshot.measured)
         before = self.account.pins[-1].states & ~locked | measured & locked
         after = before ^ switch.mask & ~locked
