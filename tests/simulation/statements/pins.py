@@ -26,19 +26,25 @@ class PinsHaveACause(Statement):
     def __init__(self, account: Account) -> None:
         super().__init__(account)
         self._heard_at = [-math.inf] * account.arm.count  # last heartbeat of the executor at each actuator's board [s]
+        self._guarded_at = [math.inf] * account.arm.count  # last remote frame to it, if it is guarded [s]
 
     def leaves(self, bus: str, frame: Frame, missing: int) -> None:
+        arm, now = self.account.arm, self.account.now
         if frame.id == cia301.HEARTBEAT + 127:
-            for k, of in enumerate(self.account.arm.bus_of):
+            for k, of in enumerate(arm.bus_of):
                 if of == bus and not missing >> k & 1:
-                    self._heard_at[k] = self.account.now
+                    self._heard_at[k] = now
+        elif frame.id & cia301.REMOTE:
+            for k, board in enumerate(arm.board_of):
+                if board == f"{bus}/{frame.id & 0x7F}" and not missing >> k & 1:
+                    self._guarded_at[k] = now
 
     def switches(self, switch: Switch) -> None:
         account, text = self.account, f"{switch.mask:b} switched to {switch.after:b} by {switch.cause}"
         if switch.cause == "SYNC":
             self._find_cause(switch, text)
         elif switch.cause == "time":
-            heard = max(self._heard_at[k] for k in bits_of(switch.mask))
+            heard = max(min(self._heard_at[k], self._guarded_at[k]) for k in bits_of(switch.mask))
             lost = account.now - heard >= account.arm.timing.heartbeat_timeout - ROUNDED
             self.require(lost, lambda: f"{text}, {account.now - heard:g} s after a heartbeat")
         elif switch.cause.startswith("frame 6"):  # the boot of a board that another program took out of operational
