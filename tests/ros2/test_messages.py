@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 from hyperbit.controller.pictures.scene import FoxgloveScene
 from hyperbit.controller.ros2 import messages
@@ -48,12 +49,7 @@ def test_frames_lead_from_the_world_to_the_tip(name: str) -> None:
     for it in frames:
         turn, place = it.transform.rotation, it.transform.translation
         own = np.eye(4)
-        x, y, z, w = turn.x, turn.y, turn.z, turn.w
-        own[:3, :3] = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
+        own[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
         own[:3, 3] = place.x, place.y, place.z
         whole = whole @ own
     tip = messages.tip_pose(state(name), "map")
@@ -113,14 +109,10 @@ def test_the_robot_is_one_tree_with_a_joint_an_actuator(name: str) -> None:
 
 
 def test_angles_about_fixed_axes_give_the_frame() -> None:
-    for roll, pitch, yaw in ((0.1, 0.2, 0.3), (-2.0, 1.2, 3.0), (0.4, np.pi / 2, 0.0), (0.4, -np.pi / 2, 0.0)):
-        c, s = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
-        x = np.array([[1, 0, 0], [0, c[0], -s[0]], [0, s[0], c[0]]])
-        y = np.array([[c[1], 0, s[1]], [0, 1, 0], [-s[1], 0, c[1]]])
-        z = np.array([[c[2], -s[2], 0], [s[2], c[2], 0], [0, 0, 1]])
+    for given in ((0.1, 0.2, 0.3), (-2.0, 1.2, 3.0), (0.4, np.pi / 2, 0.0), (0.4, -np.pi / 2, 0.0)):
         frame = np.eye(4)
-        frame[:3, :3] = z @ y @ x
-        assert angles(frame) == pytest.approx((roll, pitch, yaw))
+        frame[:3, :3] = Rotation.from_euler("xyz", given).as_matrix()
+        assert angles(frame) == pytest.approx(given)
 
 
 SHOWN = {  # types by what RViz shows or sends

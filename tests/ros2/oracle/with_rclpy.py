@@ -2,7 +2,7 @@
 
 python with_rclpy.py messages < [[type, hex], ...]     prints for each its hash, and the hex that rclpy writes
 python with_rclpy.py robot < hex of std_msgs/String    prints name, root and joints that ROS 2's parser reads
-python with_rclpy.py action                            prints what the script notes
+python with_rclpy.py action                            prints what the script sees and expects
 """
 
 import importlib

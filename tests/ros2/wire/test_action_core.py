@@ -1,15 +1,11 @@
-"""The core of an action server: rules of rcl_action, and invariants over random sequences of events."""
+"""The core of an action server: rules of rcl_action. tests/ros2/world judges random sequences of events."""
 
-from itertools import count
 from typing import Any
 
 import pytest
-from hypothesis import settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from hyperbit.controller.ros2.wire import action_events as events
-from hyperbit.controller.ros2.wire.action_core import ACTIVE, NO_UUID, ActionCore, IllegalTransition
+from hyperbit.controller.ros2.wire.action_core import NO_UUID, ActionCore, IllegalTransition
 from hyperbit.controller.ros2.wire.action_events import Action, CancelCode, GoalInfo, Status
 
 A, B, C = (bytes([number]) * 16 for number in (1, 2, 3))
@@ -210,119 +206,8 @@ def test_the_program_makes_legal_transitions_only(old: Status, new: Status) -> N
             core.step(events.StatusChanged(A, new), 0.0)
 
 
-class RandomEvents(RuleBasedStateMachine):
-    """Any events in any order, the program's illegal ones among them."""
-
-    uuids = st.sampled_from([bytes([number]) * 16 for number in range(1, 7)])
-    which = st.integers(0, 4)  # of the known goals, or another
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.core = ActionCore(result_timeout=3.0, most_goals=4)
-        self.now, self.numbers = 0.0, count()
-        self.open: set[int] = set()  # requests without an answer
-        self.answers: dict[int, int] = {}
-        self.states: dict[bytes, Status] = {}  # as published
-        self.asked: dict[int, tuple[bytes, ...]] = {}
-        self.closed = False
-
-    def step(self, event: events.Event, may_be_illegal: bool = False) -> None:
-        self.core.step(events.FeedbackGiven(NO_UUID, None), self.now)  # forgets old results
-        before = repr(self.core.goals) if may_be_illegal else ""
-        try:
-            actions = self.core.step(event, self.now)
-        except IllegalTransition:
-            assert may_be_illegal
-            assert repr(self.core.goals) == before
-            return
-        for action in actions:
-            match action:
-                case events.AskCancel(request, goals):
-                    self.asked[request] = goals
-                case events.PublishStatus(goals):
-                    self.publish(goals)
-                case events.AnswerGoal(request) | events.AnswerCancel(request) | events.AnswerResult(request):
-                    self.answers[request] = self.answers.get(request, 0) + 1
-                    self.open.discard(request)
-
-    def publish(self, goals: tuple[GoalInfo, ...]) -> None:
-        assert goals == self.core.infos()
-        for info in goals:
-            old = self.states.get(info.uuid)
-            if self.closed and old is Status.ACCEPTED:
-                old = Status.EXECUTING  # the end of the server takes both steps at once
-            if old in ENDS and info.status is not old:
-                old = None  # a goal with the id of a forgotten one
-                assert info.status is Status.ACCEPTED
-            assert old in (None, info.status) or (old, info.status) in LEGAL
-            self.states[info.uuid] = info.status
-
-    def request(self) -> int:
-        number = next(self.numbers)
-        self.open.add(number)
-        return number
-
-    def uuid(self, which: int) -> bytes:
-        return [*self.core.goals, bytes(15) + b"?"][which % (len(self.core.goals) + 1)]
-
-    @rule(uuid=uuids)
-    def send_goal(self, uuid: bytes) -> None:
-        self.step(events.GoalRequested(self.request(), uuid, uuid))
-
-    @rule(which=which, accept=st.sampled_from([True, True, False]))
-    def decide(self, which: int, accept: bool) -> None:
-        self.step(events.GoalDecided(self.uuid(which), accept, stamp=int(self.now) + 1), may_be_illegal=True)
-
-    @rule(which=which, status=st.sampled_from([Status.EXECUTING, *ENDS]))
-    def change(self, which: int, status: Status) -> None:
-        self.step(events.StatusChanged(self.uuid(which), status, "result"), may_be_illegal=True)
-
-    @rule(which=which, stamp=st.sampled_from([0, 1, 2, 5, -1]))
-    def cancel(self, which: int, stamp: int) -> None:
-        self.step(events.CancelRequested(self.request(), self.uuid(which), stamp))
-
-    @rule(stamp=st.sampled_from([0, 0, 2]))
-    def cancel_all(self, stamp: int) -> None:
-        self.step(events.CancelRequested(self.request(), NO_UUID, stamp))
-
-    @precondition(lambda self: self.asked)
-    @rule(data=st.data())
-    def decide_cancel(self, data: st.DataObject) -> None:
-        request, goals = self.asked.popitem()
-        chosen = data.draw(st.lists(st.sampled_from(goals), unique=True))
-        self.step(events.CancelDecided(request, tuple(chosen)))
-
-    @rule(which=which)
-    def ask_result(self, which: int) -> None:
-        self.step(events.ResultRequested(self.request(), self.uuid(which)))
-
-    @rule(seconds=st.sampled_from([0.5, 2.0, 4.0]))
-    def wait(self, seconds: float) -> None:
-        self.now += seconds
-
-    @precondition(lambda self: not self.closed and self.now > 8.0)
-    @rule()
-    def close(self) -> None:
-        self.closed = True
-        self.step(events.ServerClosed("closed"))
-
-    @invariant()
-    def each_request_has_one_answer(self) -> None:
-        assert all(number == 1 for number in self.answers.values())
-        waiting = {request for goal in self.core.goals.values() for request in goal.waiting}
-        undecided = {goal.request for goal in self.core.goals.values() if goal.status is Status.UNKNOWN}
-        assert self.open == waiting | undecided | set(self.asked)
-
-    @invariant()
-    def only_active_goals_have_waiting_requests(self) -> None:
-        assert all(goal.status in ACTIVE for goal in self.core.goals.values() if goal.waiting)
-        assert len(self.core.goals) <= 4
-
-    @invariant()
-    def the_published_states_are_true(self) -> None:
-        for info in self.core.infos():
-            assert self.states[info.uuid] is info.status
-
-
-TestRandomEvents = RandomEvents.TestCase
-TestRandomEvents.settings = settings(max_examples=60, stateful_step_count=50, derandomize=True, deadline=None)
+@pytest.mark.parametrize("uuid", [A, B])
+def test_only_a_goal_that_waits_is_decided(uuid: bytes) -> None:
+    core = core_after(*accepted(A))
+    with pytest.raises(IllegalTransition, match="does not wait for a decision"):
+        core.step(events.GoalDecided(uuid, accepted=True, stamp=2), 0.0)

@@ -1,5 +1,6 @@
 """An action server on the wire."""
 
+import queue
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -13,141 +14,130 @@ from hyperbit.controller.ros2.wire.cdr import BadMessage
 from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.session import Session
 from tests.network.played import Router
-from tests.ros2.client import FOLLOW, Client, Result, trajectory
+from tests.ros2.client import Client
+from tests.ros2.oracle.script import ABORTED, CANCELED, REJECTED_ORDER, SUCCEEDED, UNCANCELABLE_ORDER, script
 from tests.waiting import PATIENCE, eventually
 
-Connect = Callable[[], Session]
-SUCCEEDED, CANCELED, ABORTED = Status.SUCCEEDED, Status.CANCELED, Status.ABORTED
+FIBONACCI = "test_msgs/action/Fibonacci"
+DEFINITION = "int32 order\n---\nint32[] sequence\n---\nint32[] sequence\n"
+HASHES = {f"{FIBONACCI}_{part}": "RIHS01_" + "0" * 64 for part in ("SendGoal", "GetResult", "FeedbackMessage")}
+LATER, RAISES, CANCEL_RAISES = 10, 11, 12  # orders of goals
+A = [1] * 16
 
 
-class Arm:
-    """A program with an action server, and its client. Goals wait until the test ends them."""
+class Side:
+    """The script's side of the wire: a program with an action server, and its client. Goals wait for their end."""
 
-    def __init__(self, connect: Connect, distro: str = "jazzy", **policy: Any) -> None:
-        self.node = Node(connect(), "arm", distro=distro)
-        self.goals: list[GoalHandle] = []
-        self.canceling: list[GoalHandle] = []
-        settings = Policy(on_cancel=self.canceling.append, **policy)
-        self.server = self.node.action_server("follow", FOLLOW, self.on_goal, settings)
-        self.client = Client(Node(connect(), "client", distro=distro), "follow")
+    def __init__(self, connect: Callable[[], Session]) -> None:
+        self.node, client = Node(connect(), "server"), Node(connect(), "client")
+        for node in (self.node, client):
+            node.types.register(FIBONACCI, DEFINITION, HASHES)
+        self.handles: dict[int, GoalHandle] = {}
+        self.canceling: list[int] = []
+        policy = Policy(may_cancel=self.may_cancel, on_cancel=lambda goal: self.canceling.append(goal.uuid[0]))
+        self.server = self.node.action_server("fibonacci", FIBONACCI, self.on_goal, policy)
+        self.client = Client(client, "fibonacci", FIBONACCI)
         eventually(lambda: len(self.node.session.tokens()) == 12)
 
     def on_goal(self, goal: GoalHandle) -> None:
-        match goal.goal.trajectory.joint_names[0]:
-            case "raises":
-                raise RuntimeError("of the program")
-            case "unknown":
-                goal.reject()
-            case "later":
-                self.goals.append(goal)
-            case _:
-                goal.accept()
-                goal.execute()
-                self.goals.append(goal)
+        order = goal.goal.order
+        if order == RAISES:
+            raise RuntimeError("of the program")
+        if order == REJECTED_ORDER:
+            goal.reject()
+            return
+        if order != LATER:
+            goal.accept()
+            goal.execute()
+        self.handles[goal.uuid[0]] = goal
 
-    def send(self, joint: str = "j1", identity: bytes = b"") -> tuple[bytes, Any]:
-        return self.client.send_goal(trajectory([joint], [[0.5], [1.0]]), identity)
+    def may_cancel(self, goal: GoalHandle) -> bool:
+        if goal.goal.order == CANCEL_RAISES:
+            raise RuntimeError("of the program")
+        return bool(goal.goal.order != UNCANCELABLE_ORDER)
 
-    def begun(self) -> bytes:
-        """Sends a goal; returns its id when it is executed, which a client need not wait for."""
-        goal, _ = self.send()
-        eventually(lambda: [it for it in self.goals if it.uuid == goal])
-        return goal
+    def send_goal(self, uuid: list[int], order: int = 1) -> bool:
+        return bool(self.client.send_goal({"order": order}, bytes(uuid))[1].accepted)
 
-    def asked(self, goal: bytes) -> Callable[[], Result | None]:
-        """Asks for a result in a thread; returns what waits for it."""
-        got: list[Result | None] = []
-        thread = threading.Thread(target=lambda: got.append(self.client.result(goal)))
-        thread.start()
+    def handle(self, uuid: list[int]) -> GoalHandle:
+        """Waits until the program has a goal."""
+        handle = eventually(lambda: self.handles.get(uuid[0]))
+        assert handle
+        return handle
 
-        def wait() -> Result | None:
-            thread.join(PATIENCE)
-            return got[0]
+    def ask_result(self, uuid: list[int]) -> Callable[[], list[Any]]:
+        got: queue.Queue[Any] = queue.Queue()
+        threading.Thread(target=lambda: got.put(self.client.get_result(bytes(uuid)))).start()
 
-        return wait
+        def result() -> list[Any]:
+            response = got.get(timeout=PATIENCE)
+            return [response.status, response.result.sequence.tolist()]
+
+        return result
+
+    def cancel(self, uuid: list[int], sec: int = 0) -> list[Any]:
+        code, goals = self.client.cancel(bytes(uuid), sec)
+        return [code, [it[0] for it in goals]]
+
+    def end(self, uuid: list[int], how: int, sequence: list[int]) -> None:
+        handle = self.handle(uuid)
+        {SUCCEEDED: handle.succeed, CANCELED: handle.canceled, ABORTED: handle.abort}[how]({"sequence": sequence})
+
+    def feedback(self, uuid: list[int], sequence: list[int]) -> list[Any]:
+        handle = self.handle(uuid)
+        eventually(lambda: (handle.feedback({"sequence": sequence}), self.client.feedback)[1])
+        heard = self.client.feedback[0]
+        return [int(heard.goal_id.uuid[0]), heard.feedback.sequence.tolist()]
+
+    def until(self, uuid: list[int], status: int) -> list[list[int]]:
+        known = lambda: [[[it[0], int(at)] for it, at in states] for states in self.client.states]  # noqa: E731
+        return eventually(lambda: next((it for it in known() if [uuid[0], status] in it), []))
 
 
 @pytest.fixture
-def arm(connect: Connect) -> Arm:
-    return Arm(connect)
+def side(connect: Callable[[], Session]) -> Side:
+    return Side(connect)
 
 
-@pytest.mark.parametrize("distro", ["jazzy", "kilted"])
-def test_a_goal_succeeds_with_feedback_and_one_result(connect: Connect, distro: str) -> None:
-    arm = Arm(connect, distro)
-    goal, response = arm.send()
-    assert response.accepted
-    assert response.stamp.sec > 1_600_000_000
-    (handle,) = eventually(lambda: arm.goals)
-    assert handle.uuid == goal
-    points = handle.goal.trajectory.points
-    assert [(list(it.positions), it.time_from_start.sec) for it in points] == [([0.5], 1), ([1.0], 2)]
-    wait = arm.asked(goal)
-    eventually(lambda: (handle.feedback({"joint_names": ["j1"]}), arm.client.feedback)[1])
-    first = arm.client.feedback[0]
-    assert (bytes(first.goal_id.uuid), first.feedback.joint_names) == (goal, ["j1"])
-    handle.succeed({"error_code": 0, "error_string": "there"})
-    assert wait() == arm.client.result(goal) == Result(SUCCEEDED, 0, "there")
-    eventually(lambda: arm.client.states and arm.client.states[-1] == [(goal, SUCCEEDED)])
+def test_actions_behave_as_those_of_rclpy(side: Side) -> None:
+    for what, seen, expected in script(side):
+        assert seen == expected, what
+    assert side.canceling == [2, 4, 5, 8, 9]
 
 
-def test_a_goal_is_rejected_by_the_program_or_because_it_raises(arm: Arm) -> None:
-    for joint in ("unknown", "raises"):
-        goal, response = arm.send(joint)
-        assert (response.accepted, response.stamp.sec) == (False, 0)
-        assert arm.client.get_result(goal).status == Status.UNKNOWN
-    assert not arm.goals
-    assert arm.send("j1", goal)[1].accepted, "the same goal may come again"
+def test_a_goal_is_rejected_if_the_program_raises_and_may_come_again(side: Side) -> None:
+    for order in (REJECTED_ORDER, RAISES):
+        assert not side.send_goal(A, order)
+        assert side.ask_result(A)() == [Status.UNKNOWN, []]
+    assert side.send_goal(A)
 
 
-def test_a_goal_may_be_accepted_later(arm: Arm) -> None:
-    got: list[Any] = []
-    thread = threading.Thread(target=lambda: got.append(arm.send("later")))
-    thread.start()
-    (handle,) = eventually(lambda: arm.goals)
-    assert handle.status is Status.UNKNOWN
+def test_a_goal_may_be_accepted_later(side: Side) -> None:
+    got: queue.Queue[bool] = queue.Queue()
+    threading.Thread(target=lambda: got.put(side.send_goal(A, LATER))).start()
+    handle = side.handle(A)
+    assert (handle.goal.order, handle.status) == (LATER, Status.UNKNOWN)
     handle.accept()
-    thread.join(PATIENCE)
-    assert got[0][1].accepted
+    assert got.get(timeout=PATIENCE)
     assert handle.status is Status.ACCEPTED
 
 
-def test_a_goal_is_canceled_by_its_id(arm: Arm) -> None:
-    goal, other = arm.begun(), arm.begun()
-    wait = arm.asked(goal)
-    assert arm.client.cancel(goal) == (CancelCode.NONE, [goal])
-    eventually(lambda: arm.canceling)
-    assert [it.uuid for it in arm.canceling] == [goal]
-    expected = [(goal, Status.CANCELING), (other, Status.EXECUTING)]
-    eventually(lambda: arm.client.states and arm.client.states[-1] == expected)
-    arm.canceling[0].canceled({"error_string": "stopped"})
-    assert wait() == Result(CANCELED, 0, "stopped")
-    assert arm.client.cancel(goal) == (CancelCode.TERMINATED, [])
+def test_goals_are_canceled_by_their_time(side: Side) -> None:
+    stamp = side.client.send_goal({"order": 1}, bytes(A))[1].stamp.sec
+    assert stamp > 1_600_000_000
+    for sec, canceled in ((stamp - 10, []), (-1, []), (stamp + 10, [1])):
+        assert side.cancel([0] * 16, sec) == [CancelCode.NONE, canceled]
 
 
-def test_goals_are_canceled_by_their_time(arm: Arm) -> None:
-    goal, response = arm.send()
-    stamp = response.stamp.sec
-    for sec, canceled in ((stamp - 10, []), (-1, []), (stamp + 10, [goal])):
-        assert arm.client.cancel(sec=sec) == (CancelCode.NONE, canceled)
+def test_a_cancel_is_rejected_if_the_program_raises(side: Side) -> None:
+    side.send_goal(A, CANCEL_RAISES)
+    assert side.cancel(A) == [CancelCode.REJECTED, []]
+    assert side.handle(A).status is Status.EXECUTING
 
 
-@pytest.mark.parametrize("raises", [False, True])
-def test_a_cancel_is_rejected(connect: Connect, raises: bool) -> None:
-    def may_cancel(goal: GoalHandle) -> bool:
-        if raises:
-            raise RuntimeError("of the program")
-        return False
-
-    arm = Arm(connect, may_cancel=may_cancel)
-    assert arm.client.cancel(arm.begun()) == (CancelCode.REJECTED, [])
-    assert arm.goals[0].status is Status.EXECUTING
-    assert not arm.canceling
-
-
-def test_the_program_cannot_make_illegal_transitions(arm: Arm) -> None:
-    goal = arm.begun()
-    (handle,) = arm.goals
+def test_the_program_cannot_make_illegal_transitions(side: Side) -> None:
+    side.send_goal(A)
+    handle = side.handle(A)
     with pytest.raises(IllegalTransition, match="EXECUTING, it cannot become CANCELED"):
         handle.canceled({})
     with pytest.raises(BadMessage, match="no field 'code'"):
@@ -158,22 +148,23 @@ def test_the_program_cannot_make_illegal_transitions(arm: Arm) -> None:
     with pytest.raises(IllegalTransition, match="SUCCEEDED"):
         handle.abort({})
     handle.feedback({})  # is dropped
-    assert arm.client.result(goal) == Result(SUCCEEDED, 0, "")
+    assert side.ask_result(A)() == [SUCCEEDED, []]
 
 
-def test_the_end_of_the_node_answers_what_waits(arm: Arm) -> None:
-    goal = arm.begun()
-    wait = arm.asked(goal)
-    eventually(lambda: arm.server.open)
-    arm.node.close()
-    assert wait() == Result(ABORTED, 0, "")
+def test_the_end_of_the_node_answers_what_waits(side: Side) -> None:
+    side.send_goal(A)
+    wait = side.ask_result(A)
+    eventually(lambda: side.server.open)
+    side.node.close()
+    assert wait() == [ABORTED, []]
 
 
-def test_goals_survive_the_routers_loss(arm: Arm, router: Router) -> None:
-    goal = arm.begun()
+def test_goals_survive_the_routers_loss(side: Side, router: Router) -> None:
+    side.send_goal(A)
     router.end()
-    arm.goals[0].succeed({"error_string": "meanwhile"})
-    eventually(lambda: not arm.node.session.connected())
+    side.end(A, SUCCEEDED, [7])
+    eventually(lambda: not side.node.session.connected())
     router.start()
     # The first queries may find no service yet.
-    assert eventually(lambda: arm.client.result(goal)) == Result(SUCCEEDED, 0, "meanwhile")
+    found = eventually(lambda: side.client.get_result(bytes(A)))
+    assert (found.status, found.result.sequence.tolist()) == (SUCCEEDED, [7])

@@ -91,26 +91,16 @@ SOME = {name: fields for name, fields, _ in EXACT} | {
 
 @pytest.mark.parametrize(("name", "fields", "expected"), EXACT, ids=[name for name, _, _ in EXACT])
 def test_messages_have_exactly_these_bytes(name: str, fields: dict[str, Any], expected: str) -> None:
-    data = HEADER + bytes.fromhex(expected)
-    assert serialize(fields, name, JAZZY).hex(" ", 4) == data.hex(" ", 4)
-    assert serialize(deserialize(data, name, JAZZY), name, JAZZY) == data
+    assert serialize(fields, name, JAZZY).hex(" ", 4) == (HEADER + bytes.fromhex(expected)).hex(" ", 4)
 
 
 @pytest.mark.parametrize("name", MESSAGES)
 def test_a_message_is_what_was_sent_and_part_of_it_is_none(name: str) -> None:
     data = serialize(SOME.get(name, {}), name, JAZZY)
-    assert data[:4] == HEADER
     assert serialize(deserialize(data, name, JAZZY), name, JAZZY) == data
     for length in range(len(data) - 3):  # up to three bytes behind a message are padding
         with pytest.raises(BadMessage):
             deserialize(data[:length], name, JAZZY)
-
-
-@given(st.sampled_from(MESSAGES), st.binary(max_size=200))
-def test_any_bytes_are_a_message_or_refused(name: str, data: bytes) -> None:
-    with contextlib.suppress(BadMessage):
-        deserialize(HEADER + data, name, JAZZY)
-        assert data
 
 
 @given(st.sampled_from(sorted(SOME)), st.data())

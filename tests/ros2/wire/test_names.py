@@ -49,21 +49,18 @@ def test_mangling_is_reversible(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "expected"),
+    ("name", "namespace", "expected"),
     [
-        ("/tf", "/tf"),
-        ("goal", "/arm/left/goal"),
-        ("~/goal", "/arm/left/bridge/goal"),
-        ("a/_action", "/arm/left/a/_action"),
+        ("/tf", "/arm/left", "/tf"),
+        ("goal", "/arm/left", "/arm/left/goal"),
+        ("~/goal", "/arm/left", "/arm/left/bridge/goal"),
+        ("a/_action", "/arm/left", "/arm/left/a/_action"),
+        ("goal", "/", "/goal"),
+        ("~/goal", "/", "/bridge/goal"),
     ],
 )
-def test_names_are_resolved(name: str, expected: str) -> None:
-    assert names.resolve(name, "/arm/left", "bridge") == expected
-
-
-def test_a_name_in_no_namespace_has_one_slash() -> None:
-    assert names.resolve("goal", "/", "bridge") == "/goal"
-    assert names.resolve("~/goal", "/", "bridge") == "/bridge/goal"
+def test_names_are_resolved(name: str, namespace: str, expected: str) -> None:
+    assert names.resolve(name, namespace, "bridge") == expected
 
 
 @pytest.mark.parametrize(
@@ -139,31 +136,22 @@ def test_any_key_is_a_token_or_refused(text: str) -> None:
         assert tokens.parse(text).text.startswith("@ros2_lv/")
 
 
-def test_a_node_without_namespace_and_enclave() -> None:
-    token = Token(0, "a1", "0", "0", Kind.NODE, "talker")
-    assert token.text == "@ros2_lv/0/a1/0/0/NN/%/%/talker"
-
-
-def test_the_gid_is_the_low_half_of_the_hash_then_the_high_half() -> None:
+def test_the_gid_of_a_node_is_the_low_half_of_its_tokens_hash_then_the_high_half() -> None:
     """XXH3-128 of nothing has the low half 6001c324468d497f and the high half 99aa06d3014798d8, by xxHash's tests."""
     assert xxhash.xxh3_128_intdigest(b"") == 0x99AA06D3014798D86001C324468D497F
     token = Token(0, "a1", "0", "0", Kind.NODE, "talker")
-    whole = xxhash.xxh3_128_intdigest(token.text.encode())
-    low, high = whole % 2**64, whole >> 64
+    assert token.text == "@ros2_lv/0/a1/0/0/NN/%/%/talker"
+    high, low = divmod(xxhash.xxh3_128_intdigest(token.text.encode()), 2**64)
     assert token.gid == low.to_bytes(8, "little") + high.to_bytes(8, "little")
 
 
 @given(st.integers(0, 2**63 - 1), st.integers(0, 2**63 - 1), st.binary(min_size=16, max_size=16))
-def test_an_attachment_is_reversible(sequence: int, source_time: int, gid: bytes) -> None:
-    attachment = Attachment(sequence, source_time, gid)
-    assert attachments.parse(attachment.data) == attachment
-
-
-@given(st.integers(0, 2**63 - 1), st.integers(0, 2**63 - 1), st.binary(min_size=16, max_size=16))
-def test_an_attachment_is_what_zenoh_serializes(sequence: int, source_time: int, gid: bytes) -> None:
+def test_an_attachment_is_what_zenoh_serializes_and_is_reversible(sequence: int, source_time: int, gid: bytes) -> None:
     """rmw_zenoh writes attachments by Zenoh's serializer: two numbers, and 16 bytes behind their length."""
     whole = zenoh.ext.z_serialize((zenoh.ext.Int64(sequence), zenoh.ext.Int64(source_time), gid))
-    assert Attachment(sequence, source_time, gid).data == whole.to_bytes()
+    attachment = Attachment(sequence, source_time, gid)
+    assert attachment.data == whole.to_bytes()
+    assert attachments.parse(attachment.data) == attachment
 
 
 @given(st.binary(max_size=80))

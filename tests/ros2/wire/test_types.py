@@ -1,25 +1,15 @@
-"""Definitions and hashes of types, computed here a second time."""
+"""Definitions and hashes of types; rosbags computes the hashes a second time, by REP 2016."""
 
-import hashlib
-import json
-from collections.abc import Mapping
 from typing import Any
 
 import pytest
 from rosbags.interfaces import Nodetype
-from rosbags.interfaces.typing import FieldDesc
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import TIDMAP
 
 from hyperbit.controller.ros2.wire.types import DEFINITIONS, VERSIONS, Types, UnknownType
 
-# Numbers of types in type_description_interfaces/msg/FieldType; a char of a .msg file is an uint8.
-NUMBERS = {
-    "int8": 2, "uint8": 3, "int16": 4, "uint16": 5, "int32": 6, "uint32": 7, "int64": 8, "uint64": 9, "float32": 10,
-    "float64": 11, "char": 3, "bool": 15, "byte": 16, "string": 17,
-}  # fmt: skip
-MESSAGE, BOUNDED_STRING, ARRAY, BOUNDED, SEQUENCE = 1, 21, 48, 96, 144
 FOLLOW = "control_msgs/action/FollowJointTrajectory"
-Fields = list[tuple[str, FieldDesc]]
 # Of the wheels of ROS 2 Humble to Kilted on PyPI; those of the action by ROS's own generator.
 KNOWN = {
     "std_msgs/msg/String": "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
@@ -41,66 +31,30 @@ KNOWN = {
 }
 
 
-def described(desc: FieldDesc) -> dict[str, object]:
-    offset = capacity = 0
-    if desc[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-        element, capacity = desc[1]
-        offset = ARRAY if desc[0] == Nodetype.ARRAY else BOUNDED if capacity else SEQUENCE
-    else:
-        element = desc
-    nested, length = ("", 0)
-    if element[0] == Nodetype.NAME:
-        number, nested = MESSAGE, element[1]
-    else:
-        name, length = element[1]
-        number = BOUNDED_STRING if length else NUMBERS[name]
-    return {"type_id": number + offset, "capacity": capacity, "string_capacity": length, "nested_type_name": nested}
-
-
-def service(name: str, definitions: dict[str, Fields]) -> None:
+def define_service(name: str, definitions: dict[str, Any]) -> None:
     """Adds the structure of a service, and that of the event which tells of its calls."""
-    request, response = f"{name}_Request", f"{name}_Response"
-    definitions[f"{name}_Event"] = [
-        ("info", (Nodetype.NAME, "service_msgs/msg/ServiceEventInfo")),
-        ("request", (Nodetype.SEQUENCE, ((Nodetype.NAME, request), 1))),
-        ("response", (Nodetype.SEQUENCE, ((Nodetype.NAME, response), 1))),
-    ]
-    parts = (("request_message", request), ("response_message", response), ("event_message", f"{name}_Event"))
-    definitions[name] = [(part, (Nodetype.NAME, type_name)) for part, type_name in parts]
-
-
-def computed(name: str, definitions: Mapping[str, Fields]) -> str:
-    """The RIHS01 hash, by REP 2016: of the type's description and of all that it refers to, as JSON."""
-    found: dict[str, Any] = {}
-
-    def describe(name: str) -> None:
-        if name in found:
-            return
-        fields = definitions[name] or [("structure_needs_at_least_one_member", (Nodetype.BASE, ("uint8", 0)))]
-        found[name] = {"type_name": name, "fields": [{"name": it, "type": described(desc)} for it, desc in fields]}
-        for field in found[name]["fields"]:
-            if field["type"]["nested_type_name"]:
-                describe(field["type"]["nested_type_name"])
-
-    describe(name)
-    main = found.pop(name)
-    whole = {"type_description": main, "referenced_type_descriptions": [found[it] for it in sorted(found)]}
-    return "RIHS01_" + hashlib.sha256(json.dumps(whole).encode()).hexdigest()
-
-
-def all_definitions(types: Types) -> dict[str, Fields]:
-    definitions = {name: list(fields) for name, (_, fields) in types.store.fielddefs.items()}
-    for name in types.hashes:
-        if f"{name}_Request" in definitions:
-            service(name, definitions)
-    return definitions
+    request, response, event = (f"{name}_{part}" for part in ("Request", "Response", "Event"))
+    definitions[event] = (
+        [],
+        [
+            ("info", (Nodetype.NAME, "service_msgs/msg/ServiceEventInfo")),
+            ("request", (Nodetype.SEQUENCE, ((Nodetype.NAME, request), 1))),
+            ("response", (Nodetype.SEQUENCE, ((Nodetype.NAME, response), 1))),
+        ],
+    )
+    parts = {"request_message": request, "response_message": response, "event_message": event}
+    definitions[name] = [], [(part, (Nodetype.NAME, type_name)) for part, type_name in parts.items()]
 
 
 @pytest.mark.parametrize("distribution", VERSIONS)
-def test_each_hash_is_that_of_its_definition(distribution: str) -> None:
+def test_each_hash_is_that_of_its_definition(distribution: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(TIDMAP, "char", TIDMAP["uint8"])  # as ROS has it
     types = Types(distribution)
-    definitions = all_definitions(types)
-    assert types.hashes == {name: computed(name, definitions) for name in types.hashes}
+    definitions: dict[str, Any] = types.store.fielddefs
+    for name in types.hashes:
+        if f"{name}_Request" in definitions:
+            define_service(name, definitions)
+    assert types.hashes == {name: types.store.hash_rihs01(name) for name in types.hashes}
 
 
 @pytest.mark.parametrize("distribution", VERSIONS)
@@ -163,4 +117,4 @@ def test_definitions_name_types_in_full() -> None:
         for line in path.read_text().splitlines():
             word = line.split()[0]
             assert word.count("/") in (0, 2), f"{path.name}: {line}"
-            assert word == "---" or word.count("/") == 2 or word.rstrip("[]") in NUMBERS, f"{path.name}: {line}"
+            assert word == "---" or word.count("/") == 2 or word.rstrip("[]") in TIDMAP, f"{path.name}: {line}"
