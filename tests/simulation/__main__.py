@@ -16,6 +16,7 @@ from pathlib import Path
 
 from tests.simulation import events
 from tests.simulation.fieldbus.world import BoardWorld
+from tests.simulation.statements.daemon import OF_CLIENTS, OF_THE_ARM
 from tests.simulation.statements.executor import EVERY
 from tests.simulation.verdict import Violation
 from tests.simulation.whole.planner_process import LOGS
@@ -23,7 +24,8 @@ from tests.simulation.world import World
 
 KINDS = ("scripted", "whole", "boards")
 STEPS_A_SEED = {"scripted": 5_000, "whole": 15_000, "boards": 5_000}  # many arms find more than long lives
-LONG = 100_000  # steps of scripted worlds, within which each statement must have been armed
+LONG = 100_000  # steps of scripted or whole worlds, within which each of their statements must have been armed
+JUDGES = {"scripted": EVERY, "whole": (*OF_CLIENTS, *OF_THE_ARM), "boards": ()}  # statements with a floor
 MOST_FAILED = 20  # failed seeds, after which the run ends
 
 
@@ -55,9 +57,8 @@ def main() -> int:
     print(f"{turns.steps} steps, {seeds}, {time.monotonic() - began:.0f} s")
     for name, count in sorted(counts.items()):
         print(f"  {name}: {count}")
-    idle = []
-    if turns.of.get("scripted", 0) >= LONG:
-        idle = [one.title() for one in EVERY if counts[f"{one.title()}: armed"] < one.least]
+    long = [one for kind, steps in turns.of.items() if steps >= LONG for one in JUDGES[kind]]
+    idle = [one.title() for one in long if counts[f"{one.title()}: armed"] < one.least]
     if idle:
         print(f"too seldom armed: {', '.join(idle)}")
     print(f"failed seeds: {failed}" if failed else "no statement was violated")

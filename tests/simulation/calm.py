@@ -18,7 +18,7 @@ Payload = dict[str, Any]
 OWED_WITHIN = 12.0  # [s]: results of an earlier process wait until clients have reconnected
 MOST_HUNG = 12  # goals that wait for a hung worker in vain, until the planner starts again
 SETTLES = 1.2  # [s]: what arrives within a second after a standstill may be refused as too late
-GOALS, TOGETHER, DRAWN = 3, 3, 4  # most goals in calm one after another, and at once; most further requests
+GOALS, TOGETHER, DRAWN = 2, 3, 6  # most goals in calm one after another, and at once; most further requests
 MOST_PROGRAMS = 30  # programs, one each 0.1 s, until one is accepted: the last switch may still be read back
 RESTARTED_WITHIN = 10.0  # [s] until a planner or an executor that was killed has started again
 HUNG_WITHIN = 200.0  # [s] until a planner with a hung worker has started again
@@ -45,16 +45,17 @@ def run_a_program(world: World) -> None:
 
 
 def run_a_goal(world: World, daemon: Daemon) -> None:
-    """Makes a client send a goal when the arm is ready; it succeeds. Then others are answered as they were drawn."""
+    """Makes a client send a goal when the arm is ready; it succeeds, and so do others."""
     hung = world.trouble.made["a search hangs"] > 0
     daemon.wanted, answer = False, None
     for _ in range(1 + hung * MOST_HUNG):
         patience = world.ready_within + (HUNG_WITHIN if hung else RESTARTED_WITHIN)
         world.wait(lambda: daemon.at_rest and world.settled(), "ready for a goal", patience)
-        world.pass_time(SETTLES)
+        if daemon.exchange.happened("standstill", world.agenda.now - SETTLES):
+            world.pass_time(SETTLES)
         daemon.wanted, process = True, daemon.process
         daemon.zenoh.gone.clear()
-        answer = ask(world, daemon, "goal", daemon.clients.wishes.simple_goal(), None if hung else "accepted")
+        answer = ask(world, daemon, "goal", daemon.clients.wishes.simple_goal(), () if hung else ("accepted",))
         if answer is not None or daemon.process is process:
             break
     require(answer is not None and answer["accepted"], f"no goal was accepted after all trouble: {answer}")
@@ -63,17 +64,24 @@ def run_a_goal(world: World, daemon: Daemon) -> None:
         name = answer["id"]
         world.wait(lambda name=name: name in daemon.results, "done", DONE_WITHIN)  # type: ignore[misc]
         world.account.see("tried", daemon.results[name])
-        answer = ask(world, daemon, "goal", daemon.clients.wishes.sure_goal(), "accepted")
+        answer = ask(world, daemon, "goal", daemon.clients.wishes.sure_goal(), ("accepted",))
+    if world.drawn_half():
+        ask_in_calm(world, daemon)
+    daemon.wanted = False
+    world.wait(lambda: not daemon.exchange.running, "at the end of all goals", DONE_WITHIN)
+
+
+def ask_in_calm(world: World, daemon: Daemon) -> None:
+    """Sends requests that are answered as they were drawn: goals at once, then others at rest."""
     goals = [daemon.clients.wishes.simple_goal() for _ in range(world.drawn(TOGETHER))]
-    together = [daemon.clients.ask("goal", goal, drawn="accepted") for goal in goals]
+    together = [daemon.clients.ask("goal", goal, drawn=("accepted", "state-in-between")) for goal in goals]
     world.wait(lambda: all(sent.replies for sent in together), "answered", SEARCHED_WITHIN)
     for _ in range(world.drawn(DRAWN)):
         world.wait(lambda: daemon.at_rest and world.settled(), "ready for a request", world.ready_within)
         ask(world, daemon, *daemon.clients.wishes.drawn())
-    daemon.wanted = False
 
 
-def ask(world: World, daemon: Daemon, key: str, payload: Payload | bytes, drawn: str | None) -> Payload | None:
+def ask(world: World, daemon: Daemon, key: str, payload: Payload | bytes, drawn: tuple[str, ...]) -> Payload | None:
     """Sends a request and waits for its answer; None if the planner has ended without one."""
     process, sent = daemon.process, daemon.clients.ask(key, payload, drawn=drawn)
     world.wait(lambda: sent.replies or daemon.process is not process, "answered", SEARCHED_WITHIN)

@@ -108,12 +108,14 @@ class Network:
 
     Attributes:
         hears: takes what arrives at the planner's end; None: the end of the connection.
+        sends: takes what the planner sends in order.
     """
 
     def __init__(self, arm: str, agenda: Agenda, random: Random, executor: ExecutorProcess) -> None:
         self.sent: Counter[str] = Counter()
         self.wake: Callable[[], None] = lambda: None
         self.hears: Callable[[Up | None], None] = lambda message: None
+        self.sends: Callable[[ClientId, Down], None] = lambda client, message: None
         self._arm, self._agenda, self._random, self._executor = arm, agenda, random, executor
         self._sockets: dict[ClientId, Socket] = {}
         self._numbers = 0
@@ -123,6 +125,11 @@ class Network:
     def fill(self, places: int) -> None:
         """Makes the planner's socket full after some packets."""
         self._places = places
+
+    @property
+    def full(self) -> bool:
+        """Whether the planner's socket is full, or soon is."""
+        return self._places is not None
 
     def drain(self) -> None:
         self._places = None
@@ -204,6 +211,11 @@ class SimulatedLink(ExecutorLink):
     ) -> None:
         super().__init__(Path(), arm, digest, clock, simulated=simulated)
         self._network, self._between = network, between
+
+    def send(self, message: Down) -> None:
+        if isinstance(self._welcomed, Socket):
+            self._network.sends(self._welcomed.client, message)
+        super().send(message)
 
     def send_now(self, message: Down) -> str | None:
         self._between()

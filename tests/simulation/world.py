@@ -37,8 +37,8 @@ from tests.simulation.whole.one_fault import one_fault
 from tests.simulation.whole.planned_arms import draw_planned_arm
 
 ROUNDS = ("one fault",) * 5 + ("requests",) * 3 + ("trouble",)  # of worlds with a scripted planner
-WHOLE_TROUBLED = 0.8  # share of the rounds of a whole daemon that have a time with many faults
-PEACEFUL = 0.3  # share of the worlds with the whole daemon that have no trouble
+WHOLE_TROUBLED = 0.9  # share of the rounds of a whole daemon that have a time with many faults
+PEACEFUL = 0.2  # share of the worlds with the whole daemon that have no trouble
 FILES = 0.9  # share of the arms that are written to a file and read
 PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all trouble; late SDO answers take long
 
@@ -144,9 +144,9 @@ class World(StruckWorld):
 
     def _whole_round(self) -> None:
         self.planner.be_calm(False)
-        self.pass_time(self._random.uniform(1.0, 4.0))
+        self.pass_time(self._random.uniform(0.5, 3.0))
         if self._random.random() < WHOLE_TROUBLED and not self._peaceful:
-            self._trouble(15.0)
+            self._trouble(8.0)
 
     def _trouble(self, longest: float) -> None:
         self.disturb()

@@ -11,7 +11,7 @@ from tests.simulation.faults.fault import AT_ONCE, Fault, Place, Told, row
 DISK = "the disk is full"
 STEPS = (-3600.0, -1.0, -0.1, 0.1, 1.0, 3600.0)  # [s] by which the clock is set
 FIGURES = 3.1  # [s] in which the loop passes its figures at least once, though it may be too late twice
-STILL = 20.0  # [s], longest standstill of a planner
+STILL = 8.0  # [s], longest standstill of a planner
 
 
 @row("process")
@@ -55,7 +55,12 @@ def planner_hangs(at: Place) -> Fault:
 
 @row("process", anytime=True)
 def planner_dies(at: Place) -> Fault:
-    return Fault(lambda: at.world.planner.die(), told=None)
+    def begin() -> None:
+        at.world.planner.die()
+        if at.world.daemon is not None:
+            at.world.daemon.clients.move()
+
+    return Fault(begin, told=None)
 
 
 @row("process", anytime=True, longest=0.15)
@@ -157,7 +162,7 @@ def _hang(at: Place) -> None:
 
 _add("planner is restarted", 0.0, lambda at: at.world.daemon.end_in_order())
 _add("both are killed", 0.0, _kill_both)
-_add("planner stands still", 0.0, lambda at: at.world.daemon.stall(at.random.choice([5.0, 12.0, STILL])))
+_add("planner stands still", 0.0, lambda at: at.world.daemon.stall(at.random.choice([2.5, 4.5, STILL])))
 _add("searches are late", 6.0, _mood("delay", 0.1, 0.5, 3.0), lambda at: at.world.daemon.mood.mend())
 _add("searches fail", 3.0, _mood("fails", 0.1, 0.5, 1.0), lambda at: at.world.daemon.mood.mend())
 _add("search hangs", 0.0, _hang)

@@ -14,22 +14,31 @@ if TYPE_CHECKING:
     from tests.simulation.world import World
 
 MOMENTS = ("now", "now", "now", "in mid boot", "in mid commit", "while the arm is stopped")
+# What faults strike; with their shares in worlds with the whole daemon.
+WHOLE = {("process", "daemon"): 0.65, ("actuator",): 0.15, ("bus", "board", "executor"): 0.2}
 MID_BOOT = 0.3  # [s], longest time from a start of the executor to a fault in its boot
 
 
 class Trouble:
-    """Draws each fault as often as the others, about one a second; each ends after a time, and all with the trouble."""
+    """Draws faults, about one a second; each ends after a time, and all with the trouble.
+
+    Each fault comes as often as the others; with the whole daemon each as often as others of its kind. Then half of
+    all trouble strikes processes only: goals run beside.
+    """
 
     def __init__(self, world: World, random: Random, seed: int) -> None:
         self.made: Counter[str] = Counter()
         self._world, self._random = world, random
-        kinds = rows("bus", "board", "executor", "actuator", "process", "daemon")
-        self._deck = Deck([row for row in kinds if row.anytime], random, seed)
-        self._mean = random.choice([0.3, 1.0, 3.0])
+        whole = world.daemon is not None
+        kinds = [rows(*kind) for kind in (WHOLE if whole else [tuple(kind for one in WHOLE for kind in one)])]
+        self._decks = [Deck([row for row in kind if row.anytime], random, seed) for kind in kinds]
+        self._every = [list(WHOLE.values()), [1.0, 0.0, 0.0]] if whole else [[1.0]]
+        self._shares = self._every[0]
+        self._mean = random.choice([0.15, 0.4, 1.0] if whole else [0.3, 1.0, 3.0])
         self._ends: list[Fault] | None = None  # of the present trouble; None: there is none
 
     def begin(self) -> None:
-        self._ends = []
+        self._ends, self._shares = [], self._random.choice(self._every)
         self._next(self._ends)
 
     def end(self) -> None:
@@ -44,7 +53,8 @@ class Trouble:
 
     def _next(self, ends: list[Fault]) -> None:
         def happen() -> None:
-            drawn = self._deck.draw(self._world, alone=False)
+            deck = self._random.choices(self._decks, self._shares)[0]
+            drawn = deck.draw(self._world, alone=False)
             if drawn is not None:
                 self._strike(ends, *drawn)
             self._next(ends)

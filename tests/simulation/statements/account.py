@@ -34,7 +34,7 @@ from hyperbit.controller.program import (
 )
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
-from hyperbit.drivers.canopen.wire.events import FrameReceived
+from hyperbit.drivers.canopen.wire.events import BusChanged, FrameReceived
 from tests.simulation.buses.bus_model import RPDOS, TPDOS
 from tests.simulation.executor.witness import Witness
 from tests.simulation.facts import Energised, Switch
@@ -313,6 +313,8 @@ class Account(Witness):
                 self.bar()
             case FrameReceived(bus, frame):
                 self._hear(bus, frame)
+            case BusChanged(_, "bus-off" | "down"):  # its boards are lost, and so is what they told of doors
+                self.open_known_at, self.knows_open = math.inf, False
             case _:
                 pass
 

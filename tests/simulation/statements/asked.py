@@ -21,7 +21,9 @@ class Request:
     Attributes:
         number: in the order of arrival at all processes.
         body: its payload, if that is a JSON object.
+        sent: payload and attachment; None without an attachment.
         awake: awake time of its process at its arrival [s].
+        waited: time without an answer in which the process was awake and nothing hindered it [s].
     """
 
     number: int
@@ -31,9 +33,11 @@ class Request:
     body: Payload
     at: float
     awake: float
-    drawn: str | None = None  # "accepted", or the reason of the refusal for which it was drawn in calm
+    drawn: tuple[str, ...] = ()  # "accepted", or the reasons of refusals for which it was drawn in calm
     answer: Payload | None = None
     answered_at: float = math.inf
+    waited: float = 0.0
+    sent: tuple[bytes, bytes] | None = None
 
     @property
     def accepted(self) -> bool:
@@ -75,7 +79,7 @@ class Ran:
         told: what the planner was told of its settled marks, by mark.
         planned: switches that its answer told; None before.
         reached: waypoints of which feedback was told before the last state.
-        over_at: awake time of its result [s].
+        over_at: awake time of its result [s]; `result_at` is its time.
     """
 
     instance: int
@@ -97,6 +101,7 @@ class Ran:
     reached: int = 0
     results: list[Payload] = field(default_factory=list)
     over_at: float = math.inf
+    result_at: float = math.inf
     foretold: list[float] = field(default_factory=list)
 
     @property

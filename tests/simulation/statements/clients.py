@@ -6,15 +6,18 @@ import re
 from pathlib import Path
 
 from hyperbit.controller.executor.core.events import Event, FromClient
-from hyperbit.controller.program import Acknowledge, Setpoint
+from hyperbit.controller.program import Acknowledge, Cancel, Hello, Setpoint, Stop
 from tests.simulation.facts import Switch
 from tests.simulation.statements.asked import Payload, Ran, Request
-from tests.simulation.statements.exchange import Exchange
+from tests.simulation.statements.exchange import PAUSE, SAME, Exchange
 from tests.simulation.statements.statement import Statement
 
 PAGE = Path(__file__).parents[3] / "controller" / "refusals" / "README.md"
-BEHIND = 7.0  # [s], awake: an answer may wait behind results, which wait for clients to reconnect
-DESCRIBED_WITHIN = 75.0  # [s], awake: five plans of 10 s, one after the other, with the worker's delays
+EXECUTOR_WITHIN = 3.0  # [s] for the executor's answer, and the ledger's
+AT_ONCE = 1.0  # [s] for what the planner's process knows
+OBSTACLES_WITHIN = 6.0  # [s] for what waits until a silent executor counts as lost
+RECONNECTED = 7.0  # [s] after a standstill, in which results wait for clients, and answers behind them
+REMEMBERED = 2.0  # [s] after a stop in which statement 2 is armed
 LOOK_EVERY = 0.1  # [s]
 
 
@@ -30,6 +33,7 @@ class NothingBeginsAfterAClientsStop(OfClients):
     """After the answer to a stop or cancel nothing begins, and no pin changes, for what a client asked before it."""
 
     number = 2
+    least = 30
 
     def accepts(self, ran: Ran) -> None:
         if ran.request is not None:
@@ -48,19 +52,23 @@ class NothingBeginsAfterAClientsStop(OfClients):
 
     def _judge(self, number: int, goal: str | None, text: str) -> None:
         for barrier in self.exchange.barriers:
-            if barrier.number > number and barrier.goal in (None, goal):
-                over = barrier.answered_at < self.account.now
-                self.require(not over, lambda barrier=barrier: f"{text} after the answer to {barrier}")  # type: ignore[misc]
+            if barrier.at > self.account.now - REMEMBERED and barrier.goal in (None, goal):
+                allowed = number > barrier.number or barrier.answered_at >= self.account.now
+                self.require(allowed, lambda barrier=barrier: f"{text} after the answer to {barrier}")  # type: ignore[misc]
 
 
 class EachGoalHasOneResult(OfClients):
-    """Each accepted goal has exactly one result, also over kills; a refused one has none."""
+    """Each accepted goal has exactly one result, also over kills, while clients are there; a refused one has none."""
 
     number = 3
+    least = 100
 
     def answered(self, request: Request, answer: Payload) -> None:
         if request.key in ("goal", "jog") and answer["accepted"]:
-            self.require(self.exchange.ran(answer["id"]), lambda: f"{request} is accepted, and no executor has it")
+            ran = [ran for ran in self.exchange.ran(answer["id"]) if ran.result_at > request.at]
+            alike = [r for r in self.exchange.requests if r.sent is not None and r.sent == request.sent]
+            again = any(r.answer == answer for r in alike)
+            self.require(ran or again, lambda: f"{request} is accepted, and no executor has it")
 
     def result(self, payload: Payload) -> None:
         if payload["status"] == "refused":
@@ -68,10 +76,13 @@ class EachGoalHasOneResult(OfClients):
             fits = [r for r in puts if payload["id"] in (None, r.goal) or r.goal is None]
             self.require(fits, lambda: f"result {payload}, and no put waits")
             return
-        ran, text = self.exchange.ran_of(payload), f"result {payload}"
+        exchange, ran, text = self.exchange, self.exchange.ran_of(payload), f"result {payload}"
         self.require(ran is not None, lambda: f"{text}, and no such goal was accepted")
         if ran is None:
             return
+        if not exchange.quits:
+            late = exchange.alone_until if ran.process == exchange.process else exchange.reached_from
+            self.require(self.account.now >= late, lambda: f"{text} leaves before clients are connected again")
         if ran.results:
             first = ran.results[0]
             same = all(first[name] == payload[name] for name in ("status", "code"))
@@ -86,7 +97,7 @@ class EachGoalHasOneResult(OfClients):
                 mine = [ran for ran in self.exchange.programs.values() if ran.instance == self.exchange.instance]
                 for ran in [ran for ran in mine if ran.ended is not None and ran.ended.result == result]:
                     accepted, recorded = self.exchange.recorded(ran)
-                    told = ran.results and (recorded or self.exchange.happened("disk", ran.at))
+                    told = ran.results and (recorded or self.exchange.disk_was_full(ran.at))
                     self.require(told or not accepted, f"the result of {ran.goal} is acknowledged; told: {ran.results}")
 
     def told_all(self) -> None:
@@ -98,13 +109,17 @@ class EachGoalHasOneResult(OfClients):
 
 
 class EachRequestHasOneAnswer(OfClients):
-    """Each request has one answer in time; what was drawn in calm is accepted or refused as it was drawn."""
+    """Each request has one answer in time; what was drawn in calm is accepted or refused as it was drawn.
+
+    Time does not count while the process stands still, or while network, disk, socket or workers may delay answers.
+    """
 
     number = 11
+    least = 400
 
     def __init__(self, exchange: Exchange) -> None:
         super().__init__(exchange)
-        self._looked, self._reasons = 0.0, reasons_on_the_page()
+        self._looked, self._awake, self._reasons = 0.0, 0.0, reasons_on_the_page()
 
     def answered(self, request: Request, answer: Payload) -> None:
         text = f"{request} is answered by {answer}"
@@ -116,28 +131,59 @@ class EachRequestHasOneAnswer(OfClients):
         else:
             code, sentence = self._reasons[answer["reason"]]
             self.require(answer["code"] == code and sentence.fullmatch(answer["message"]), text)
-        if request.drawn is not None:
+        if request.drawn:
             told = "accepted" if answer["accepted"] else answer["reason"]
-            self.require(told == request.drawn, lambda: f"{text}; it was drawn as {request.drawn}")
+            self.require(told in request.drawn, lambda: f"{text}; it was drawn as {request.drawn}")
 
     def steps(self) -> None:
         if self.account.now < self._looked + LOOK_EVERY:
             return
-        self._looked = self.account.now
+        passed, self._looked, self._awake = self.exchange.awake - self._awake, self.account.now, self.exchange.awake
+        if self.exchange.hindered or self.exchange.happened("standstill", self.account.now - RECONNECTED):
+            return
         for request in self.exchange.unanswered():
-            longest = DESCRIBED_WITHIN if request.key == "plan" else max(request.patience, 8.0) + BEHIND
-            waited = self.exchange.awake - request.awake
-            self.require(waited <= longest, lambda r=request, w=waited: f"{r} has no answer after {w:g} s")  # type: ignore[misc]
+            request.waited, longest = request.waited + passed, longest_of(request)
+            self.require(request.waited <= longest, lambda r=request: f"{r} has no answer after {r.waited:g} s")  # type: ignore[misc]
 
     def ends_in_order(self) -> None:
         left = [str(request) for request in self.exchange.unanswered()]
         self.require(not left, lambda: f"the process has ended without the answers to {left}")
 
 
+class MessagesKeepTheirOrder(OfClients):
+    """The executor takes the planner's messages in the order of sending, none twice; stops and cancels may overtake."""
+
+    number = 13
+    least = 250
+
+    def told(self, event: Event) -> None:
+        match event:
+            case FromClient(_, Hello() | Stop() | Cancel(program=None)):
+                pass
+            case FromClient(client, message) if client == self.account.planner:
+                sent = self.exchange.sent.get(client)
+                next_one = sent.popleft() if sent else None
+                self.require(next_one == message, lambda: f"{message} comes to the executor before {next_one}")
+
+
+class OnlyFreshSetpointsAreFollowed(OfClients):
+    """A stream is followed only as long as set-points come that are not stale."""
+
+    number = 11
+    least = 80
+
+    def told(self, event: Event) -> None:
+        match event:
+            case FromClient(client, Setpoint(until=until)) if client == self.account.planner:
+                longest = self.exchange.fresh_at + PAUSE
+                self.require(until <= longest + SAME, f"set-points are followed until {until}, fresh ones to {longest}")
+
+
 class CalmMeansReady(OfClients):
     """In calm the arm is ready, and a simple goal succeeds."""
 
     number = 10
+    least = 3
 
     def tried(self, result: Payload) -> None:
         self.require(result["status"] == "succeeded", lambda: f"a simple goal ends as {result}")
@@ -147,6 +193,7 @@ class OneFaultIsTold(OfClients):
     """One fault in calm: exactly its row of the table is told. `one_fault` waits for its begin and its end."""
 
     number = 16
+    least = 10
 
     def __init__(self, exchange: Exchange) -> None:
         super().__init__(exchange)
@@ -168,12 +215,26 @@ class NoInternalError(OfClients):
     """There is no internal error, and no traceback."""
 
     number = 18
+    least = 250
 
     def planner_logs(self, text: str) -> None:
         self.require("Traceback" not in text, text)
 
     def answered(self, request: Request, answer: Payload) -> None:
         self.require(answer.get("reason") != "internal-error", lambda: f"{request} is answered by {answer}")
+
+
+def longest_of(request: Request) -> float:
+    """Returns how long a request may wait for its answer [s]."""
+    match request.key:
+        case "goal" | "jog":
+            return request.patience + EXECUTOR_WITHIN
+        case "obstacles" | "plan":
+            return OBSTACLES_WITHIN
+        case "arm" | "result" | "poses":
+            return AT_ONCE
+        case _:
+            return EXECUTOR_WITHIN
 
 
 def reasons_on_the_page() -> dict[str, tuple[int, re.Pattern[str]]]:

@@ -14,6 +14,8 @@ OF_CLIENTS = (
     clients.NothingBeginsAfterAClientsStop,
     clients.EachGoalHasOneResult,
     clients.EachRequestHasOneAnswer,
+    clients.MessagesKeepTheirOrder,
+    clients.OnlyFreshSetpointsAreFollowed,
     clients.CalmMeansReady,
     clients.OneFaultIsTold,
     clients.NoInternalError,

@@ -7,10 +7,11 @@ from collections import deque
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from hyperbit.controller.executor.core.events import Event, FromClient
+from hyperbit.controller.executor.core.events import ClientId, Event, FromClient
 from hyperbit.controller.program import (
     Accepted,
     Begun,
+    Down,
     Ended,
     Program,
     Replaced,
@@ -31,8 +32,10 @@ if TYPE_CHECKING:
 
 REMEMBERED = 60.0  # [s] for which answered requests are kept
 SETTLED = 0.02  # [s], awake, in which all snapshots are the same before a program that is surely planned from them
+AWAY = 4.0  # [s], longest time until clients are connected again
 PAUSE = 0.25  # [s] without a set-point, after which a stream has ended
-OLDEST = 0.2  # [s] of a set-point between its arrival and the core
+OLDEST, AHEAD = 0.2, 0.05  # [s] of a set-point between its stamp, its arrival and the core; of stamps from the future
+DECEIVED = 5.0  # [s] after the clock was set in which stamps may seem fresh
 MAILBOXES = ("setpoint", "measured_tip")
 SAME = 1e-6  # [s]
 
@@ -55,6 +58,10 @@ class Exchange(Witness):
         barriers: stops and cancels that were accepted, the newest last.
         stream_began: number of the first set-point of the newest stream.
         told_at: awake time of the last state [s].
+        alone_until: end of the time in which clients connect again after a standstill [s].
+        reached_from: time at which clients are connected to the present process [s].
+        sent: messages of each connection that the executor has not taken, the oldest first.
+        fresh_at: time of the last set-point that may be followed [s].
         taken: set-points that the core has taken; `malformed` are those without a position.
     """
 
@@ -62,6 +69,7 @@ class Exchange(Witness):
         self.account, self._daemon = account, daemon
         self._awake = self._since = self.told_at = 0.0
         self.process = self.instance = self._executors = self.numbers = self.stream_began = 0
+        self.sent: dict[ClientId, deque[Down]] = {}
         self.requests: list[Request] = []
         self.programs: dict[tuple[int, int], Ran] = {}
         self.barriers = deque[Request](maxlen=30)
@@ -86,20 +94,34 @@ class Exchange(Witness):
     def begins(self, process: int) -> None:
         """A process of the planner begins; 0: it has ended, and so have its requests and obstacles."""
         self.process, self.quits, self.began, self.state = process, False, self.awake, None
+        self.alone_until, self.reached_from = 0.0, self.account.now + AWAY
         self.requests = [request for request in self.requests if request.answer is not None]
         self.heard = deque([Heard(self.awake, None)], maxlen=1_000)
         self.taken = self.malformed = 0
+        self.fresh_at = -math.inf
         self.confirmed, self._confirmed_by, self.changed_at = frozenset[Disc](), 0, self.account.now
         if process:
             self.account.see("planner_begins")
         else:
             self.note("planner")
 
-    def note(self, kind: str) -> None:
-        self._last[kind] = self.account.now
+    def stood_still(self, until: float) -> None:
+        """The process stood still until a time, so long that clients must connect again."""
+        self.alone_until = until + AWAY
+
+    def note(self, kind: str, at: float | None = None) -> None:
+        self._last[kind] = self.account.now if at is None else at
 
     def happened(self, kind: str, since: float) -> bool:
         return self._last.get(kind, -math.inf) >= since
+
+    def disk_was_full(self, since: float) -> bool:
+        return self._daemon.storage.room is not None or self.happened("disk", since)
+
+    @property
+    def hindered(self) -> bool:
+        """Whether something may delay answers."""
+        return self._daemon.hindered
 
     @property
     def lead(self) -> float:
@@ -123,6 +145,7 @@ class Exchange(Witness):
     def arrives(self, key: str, name: str, query: bool, payload: bytes, attachment: bytes) -> Request:
         self.numbers += 1
         request = Request(self.numbers, key, name, query, body_of(payload), self.account.now, self.awake)
+        request.sent = (payload, attachment) if attachment else None
         if key == "obstacles":
             self.changed_at = self.account.now
         if key not in MAILBOXES:
@@ -168,6 +191,7 @@ class Exchange(Witness):
                     put.answer, put.answered_at = {**payload, "accepted": False}, self.account.now
             case "result" if ran is not None:
                 ran.results.append(payload)
+                ran.result_at = min(ran.result_at, self.account.now)
                 ran.over_at = min(ran.over_at, self.awake)
 
     def ends_in_order(self) -> None:
@@ -185,6 +209,11 @@ class Exchange(Witness):
         """Returns the program of an id that runs, as far as clients know."""
         mine = [ran for ran in self.ran(goal) if ran.process == self.process and not ran.results]
         return mine[-1] if mine else None
+
+    @property
+    def running(self) -> bool:
+        """Whether a program of the present executor has not ended."""
+        return any(ran.ended is None and ran.instance == self.instance for ran in self.programs.values())
 
     @property
     def in_force(self) -> frozenset[Disc]:
@@ -256,11 +285,24 @@ class Exchange(Witness):
         """The core takes the latest set-point of a sender; a stream begins after a pause. Late ones do not count."""
         now, fits = self.account.now, b"position" in payload
         self.taken, self.malformed = self.taken + 1, self.malformed + (not fits)
+        if fits and self._is_fresh(body_of(payload).get("stamp")):
+            self.fresh_at = now
         if age > OLDEST or not fits:
             return
         if now - self._streams.get(sender, -math.inf) > PAUSE:
             self.stream_began = max(self.stream_began, self._setpoints.get(sender, 0))
         self._streams[sender] = now
+
+    def _is_fresh(self, stamp: float | None) -> bool:
+        """Returns whether a set-point of a stamp may be followed; a clock that was set may deceive the planner."""
+        deceived = self.happened("clock", self.account.now - DECEIVED)
+        return deceived or not stamp or -AHEAD < self.wall() - stamp < OLDEST + AHEAD
+
+    def writes(self, client: ClientId, message: Down) -> None:
+        """The planner's process sends a message to an executor; the socket may be full."""
+        if client not in self.sent:
+            self.sent = {client: deque()}
+        self.sent[client].append(message)
 
     def hears(self, message: object) -> None:
         """A message comes to the planner's process; None: the connection ended."""

@@ -39,7 +39,10 @@ UNFED = 10.0  # [s] for which a program waits for its next stages
 
 
 class AcceptedProgramsFit(Statement):
-    """An accepted program begins where the pins are, in the present epoch, in time, and fits the arm."""
+    """An accepted program begins where the pins are, in the present epoch, in time, and fits the arm.
+
+    An actuator with two outputs may have left its end: a booted executor goes on from what its end-stops read.
+    """
 
     number = 2
 
@@ -52,7 +55,9 @@ class AcceptedProgramsFit(Statement):
         self.require(account.now <= program.until + EPSILON, f"{text}, too late by {account.now - program.until:g} s")
         self.require(program.program not in account.programs, f"{text} again")
         unsure = account.missed | account.homing | account.locked | account.fallen
-        differ = (unpack(program.start) ^ account.pins[-1].states) & ~unsure
+        pins, start = account.pins[-1], unpack(program.start)
+        told = 0 if account.shown is None else ~(start ^ unpack(account.shown.outputs))
+        differ = (start ^ pins.states) & ~unsure & ~(account.arm.paired & account.arm.sensed & told)
         self.require(not differ, f"{text} from other states of {differ:b}")
         before, earliest = unpack(program.start), -math.inf
         for stage in program.stages:

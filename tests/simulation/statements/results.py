@@ -56,6 +56,7 @@ class ResultsAreTrue(OfTheArm):
     """`succeeded`: the measured states are the goal, its tip is within the tolerance; each result tells the truth."""
 
     number = 4
+    least = 200
 
     def ends(self, ran: Ran, payload: Payload) -> None:
         text, ended, request = f"result {payload}", ran.ended, ran.request
@@ -80,16 +81,21 @@ class ResultsAreTrue(OfTheArm):
             self.require(payload["planned_switches"] == ran.planned, lambda: f"{text}; planned are {ran.planned}")
 
     def answered(self, request: Request, answer: Payload) -> None:
-        """The switches that an answer tells are those of the program, if all actuators are where they are driven."""
+        """The switches that an answer tells are those of the stages from where the goal is planned: where the arm is.
+
+        The executor counts from its outputs. A jog begins there, too.
+        """
         if request.key not in ("goal", "jog") or not answer["accepted"]:
             return
         ran, words = self.exchange.ran(answer["id"])[-1], SWITCHES.search(answer["message"])
         self.require(words is not None, lambda: f"{request} is answered by {answer}")
         if words is not None and ran.request is request and ran.program.final:
             ran.planned = int(words[1])
-            follows = self.account.shown is not None and self.account.shown.measured == ran.program.start
-            right = ran.planned == switches_of(ran.program) or not follows
-            self.require(right, lambda: f"{request}: {answer}, {ran.program}")
+            if ran.start is not None:
+                start, locked = ran.start
+                begin = unpack(ran.program.start) if ran.jog else start
+                right = ran.planned == switches_of(ran.program, begin, locked)
+                self.require(right, lambda: f"{request}: {answer}, {ran.program}, planned from {begin:b}")
 
     def _reached(self, request: Request, ran: Ran, ended: Ended, payload: Payload) -> bool:
         known, measured = unpack(ended.known), unpack(ended.measured)
@@ -104,6 +110,7 @@ class MarksComeInOrder(OfTheArm):
     """Feedback tells each mark that has settled once, in order, with its numbers; times are foretold truly."""
 
     number = 13
+    least = 1500
 
     def feedback(self, payload: Payload) -> None:
         ran, text = self.exchange.ran_now(payload["id"]), f"feedback {payload}"
@@ -164,6 +171,7 @@ class BoundsAreTrue(OfTheArm):
     """`optimal` is what listing all configurations says, and a bound is never above it."""
 
     number = 15
+    least = 20
 
     def ends(self, ran: Ran, payload: Payload) -> None:
         if payload.get("lower_bound") is None:
@@ -199,7 +207,7 @@ class BoundsAreTrue(OfTheArm):
         self.require(bool(answer["optimal"]) == optimal and (not optimal or math.isclose(answer["cost"], least)), text)
 
 
-def switches_of(program: Program) -> int:
-    """Returns the number of switches of a program's stages."""
-    states = [unpack(program.start), *(unpack(stage.states) for stage in program.stages)]
-    return sum((before ^ after).bit_count() for before, after in pairwise(states))
+def switches_of(program: Program, start: int, locked: int) -> int:
+    """Returns the number of switches of a program's stages from a state; locked actuators do not switch."""
+    states = [start, *(unpack(stage.states) for stage in program.stages)]
+    return sum(((before ^ after) & ~locked).bit_count() for before, after in pairwise(states))

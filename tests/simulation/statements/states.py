@@ -26,6 +26,7 @@ class StatesAreTrue(OfTheArm):
     """What `state` tells held in the last 0.1 s: one snapshot of the executor explains all of its fields."""
 
     number = 5
+    least = 2000
 
     def state(self, payload: Payload) -> None:
         whys = list[str]()
@@ -113,6 +114,7 @@ class ToldNumbersNeverFall(OfTheArm):
     """The numbers of obstacles and poses, and the counts of switches, never fall while a process lives."""
 
     number = 13
+    least = 1500
 
     def __init__(self, exchange: Exchange, mechanics: Mechanics) -> None:
         super().__init__(exchange, mechanics)
@@ -147,11 +149,12 @@ class NoStageTouchesAnObstacle(OfTheArm):
     """No stage touches an obstacle that was confirmed before its frames, if it was known where the arm was."""
 
     number = 14
+    least = 3
 
     def __init__(self, exchange: Exchange, mechanics: Mechanics) -> None:
         super().__init__(exchange, mechanics)
         self._among = exchange.in_force  # when the last RPDO was handed out
-        self._sure = False  # whether the executor knew then where the arm was
+        self._before: int | None = None  # where the arm was then, as the executor knew; None: it did not
         self._asked: dict[int, tuple[Question, frozenset[Disc]]] = {}  # by number, with the obstacles in force
         self._unchecked: set[int | None] = set()  # jogs from where nobody knows, as their answers say
 
@@ -180,19 +183,25 @@ class NoStageTouchesAnObstacle(OfTheArm):
         if frame.id & 0x780 in RPDOS:
             shown, pins = self.account.shown, self.account.pins[-1].states
             self._among = self.exchange.in_force
-            self._sure = shown is not None and not unpack(shown.homing) and unpack(shown.measured) == pins
+            held = 0 if shown is None else unpack(shown.locked)
+            known = shown is not None and unpack(shown.known) == (1 << self.account.arm.count) - 1
+            fits = known and shown is not None and not (unpack(shown.outputs) ^ pins) & ~held
+            self._before = None
+            if fits and shown is not None:
+                still = 0 if shown.moving else -1
+                self._before = unpack(shown.measured) & (held | still) | pins & ~(held | still)
 
     def switches(self, switch: Switch) -> None:
         snapshot = self.exchange.snapshot
-        if switch.cause != "SYNC" or not self._sure or not self._among or snapshot is None:
+        before = self._before
+        if switch.cause != "SYNC" or before is None or not self._among or snapshot is None:
             return
         starts = [motion.start for motion, _ in switch.sync.asked] if switch.sync is not None else []
         if not starts or any(start not in self.mechanics.tips for start in starts):
             return  # a jog from no configuration is not checked, either
         if switch.sync is not None and switch.sync.program in self._unchecked:
             return
-        locked, measured = unpack(snapshot.locked), unpack(snapshot.measured)
-        before = self.account.pins[-1].states & ~locked | measured & locked
-        after = before ^ switch.mask & ~locked
+        locked, pins = unpack(snapshot.locked), self.account.pins[-1].states
+        after = (pins ^ switch.mask) & ~locked | before & locked
         touched = [disc for disc in self._among if self.mechanics.space.touched(disc, before, after)]
         self.require(not touched, lambda: f"a stage from {before:b} to {after:b} touches {touched}")

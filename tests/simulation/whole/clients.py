@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperbit.controller.program import unpack
-from tests.simulation.statements.asked import states_from
+from tests.simulation.statements.asked import body_of, states_from
 from tests.simulation.whole.wishes import STATES, Wishes
 from tests.simulation.whole.zenoh_model import LATENCY, Sent
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from tests.simulation.whole.daemon import Daemon
 
 ACTS = {
-    **{"goal": 40, "jog": 10, "plan": 6, "cancel": 3, "cancel goal": 4, "stop": 0.5, "reset": 2, "degrade": 3},
+    **{"goal": 40, "jog": 15, "plan": 6, "cancel": 3, "cancel goal": 4, "stop": 0.5, "reset": 2, "degrade": 3},
     **{"obstacles": 6, "arm": 2, "stream": 6, "tip": 10, "garbage": 2, "repeat": 6, "many goals": 0.5, "wait": 10},
-    **{"poses": 2.0, "again": 1.0, "flood": 0.15, "crowd": 0.4, "many arms": 0.03},
+    **{"poses": 2.0, "again": 3.0, "flood": 0.15, "crowd": 0.4, "many arms": 0.03},
     **{"burst": 8, "result": 3, "vanish": 1, "same id": 1.5, "many plans": 0.3, "fault": 2.0},
 }
 ASIDE = {"arm": 4, "plan": 3, "poses": 2, "result": 2, "tip": 5, "garbage": 1}  # while the clients wait for a motion
@@ -44,7 +44,7 @@ BURSTS = (
     ("obstacles", "plan", "stop"),
     ("obstacles", "stop", "plan"),
 )
-NAMES = {"stop": ("hyperbit/*/stop", "**/hyperbit/*/stop"), "cancel": ("hyperbit/*/cancel",), "arm": ("hyperbit/**",)}
+NAMES = {"stop": ("hyperbit/*/stop", "**/hyperbit/*/stop"), "cancel": ("hyperbit/*/cancel",)}
 DESCRIPTIONS = (
     b'{"with": ["running"]}',
     b'{"with": ["running"]}',
@@ -93,18 +93,18 @@ class Clients:
         self._agenda.after(1.0, self._act)
 
     def ask(
-        self, key: str, payload: dict[str, Any] | bytes = b"{}", *, query: bool = True, drawn: str | None = None
+        self, key: str, payload: dict[str, Any] | bytes = b"{}", *, query: bool = True, drawn: tuple[str, ...] = ()
     ) -> Sent:
         """Sends a request of the client that acts now; returns it, to which replies are added.
 
-        `drawn`: "accepted", or the reason of the refusal for which it was drawn.
+        `drawn`: its possible answers: "accepted", or the reasons of refusals; none: nobody can say.
         """
         data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
         name = f"{self._prefix}/{key}"
         if not self.calm and key in NAMES and self._random.random() < 0.1:
             name = self._random.choice(NAMES[key])
-        elif not self.calm and self._random.random() < 0.005:
-            name = f"hyperbit/*/{key}"
+        elif not self.calm and self._random.random() < 0.003:
+            name = self._random.choice([f"hyperbit/*/{key}", f"hyperbit/*/{key}", "hyperbit/**"])
         sent = self._daemon.zenoh.send(self._client, name, data, self._attachment(key), query)
         sent.drawn = drawn
         self._sent = [*self._sent[-9:], sent]
@@ -128,8 +128,13 @@ class Clients:
         self._daemon.zenoh.send(client, sent.name, sent.payload, attachment, sent.query)
 
     def _send_again(self) -> None:
-        """Sends a goal of long ago again, as a client does that has its goals in a file."""
-        old = [sent for sent in self._goals if sent.at < self._agenda.now - LONG_AGO]
+        """Sends a goal that has ended again, as a client does that has its goals in a file."""
+        results = self._daemon.results
+        old = [
+            sent
+            for sent in self._goals
+            if sent.at < self._agenda.now - LONG_AGO or body_of(sent.payload).get("id") in results
+        ]
         if old:
             self.ask("goal", self._random.choice(old).payload)
 
@@ -155,8 +160,8 @@ class Clients:
         if not halted and self._wait():
             return self._one_of(ASIDE)
         codes = set() if state is None else {fault["code"] for fault in state["faults"]}
-        if "executor-lost" in codes and random.random() < 0.3:
-            return self._one_of(WITHOUT_EXECUTOR)
+        if "executor-lost" in codes:
+            return self._one_of(WITHOUT_EXECUTOR if random.random() < 0.1 else ASIDE)
         if halted and random.random() < 0.6:
             return "reset"
         if mode not in ("ready", "executing") and random.random() < PATIENT:

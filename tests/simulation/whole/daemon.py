@@ -28,10 +28,9 @@ from tests.simulation.network import Network
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.asked import Request, states_from
 from tests.simulation.statements.exchange import Exchange
-from tests.simulation.whole.claims import check_claims
 from tests.simulation.whole.clients import Clients
 from tests.simulation.whole.configurations import Configurations
-from tests.simulation.whole.planner_process import UNIX, PlannerProcess
+from tests.simulation.whole.planner_process import LEASE, UNIX, PlannerProcess
 from tests.simulation.whole.planner_witness import PlannerWitness
 from tests.simulation.whole.storage import Storage
 from tests.simulation.whole.workers import LookClock, Mood
@@ -40,6 +39,7 @@ from tests.simulation.whole.zenoh_model import LATENCY, TRANSMITTED, Sent, Zenoh
 OFFSET = 4e-4  # of measured tips from computed ones; less than the tolerance
 LOOKS = 1e-3, 5e-3  # [s] that the first look at the clock in a task counts
 SIZES = None, None, ListSizes(4, 8, 16, 4, 4, 64), ListSizes(16, 32, 64, 16, 16, 256)  # None: the arm is listed whole
+STANDSTILL = 1.0  # [s] of a halt, after which results may wait for clients to reconnect
 COUNTED_WITHIN = 0.5  # [s] from the executor's counts to the ledger
 
 
@@ -99,11 +99,10 @@ class Daemon:
         self.simulated = simulated
         self.witness = PlannerWitness(self.exchange, note)
         self.zenoh = ZenohModel(agenda, drawn("zenoh"), self, lambda: self.awake_since)
-        self._claims = drawn("claims")
         self.clients = Clients(self, drawn("clients"))
         self.process: PlannerProcess | None = None
         self._processes = 0
-        self.network.wake, self.network.hears = self._readable, self._hears
+        self.network.wake, self.network.hears, self.network.sends = self._readable, self._hears, self.exchange.writes
         agenda.after(0.0, self.start)
 
     def _capped(self, sizes: ListSizes | None) -> MakeSolver:
@@ -120,7 +119,6 @@ class Daemon:
         if self.process is None:
             self._processes += 1
             self.exchange.begins(self._processes)
-            check_claims(self._claims)
             self.process = PlannerProcess(self, self._processes, self._random)
 
     def planner_ended(self) -> None:
@@ -203,6 +201,10 @@ class Daemon:
         """Halts the process for a time [s]; what is sent to it waits."""
         self.exchange.stands_still()
         self.awake_since = max(self.awake_since, self.agenda.now + seconds)
+        if seconds > STANDSTILL:
+            self.exchange.note("standstill", self.awake_since)
+        if seconds > LEASE:
+            self.exchange.stood_still(self.awake_since)
 
     def slow_down(self) -> None:
         """Makes the loop's thread busy for a while after a round."""
@@ -210,17 +212,23 @@ class Daemon:
             self.stall(self._random.uniform(0.0, self.slow))
 
     def die(self) -> None:
-        """Kills the process soon, perhaps in the middle of a step, or while its next result leaves."""
+        """Kills the process soon, perhaps in the middle of a step, or while a result is published or recorded."""
         if self.process is not None and self._random.random() < 0.5:
             self.process.kill_after(self._random.choice([0, 1, 2, 3, 5, 10, 30]))
         elif self.process is not None:
-            self.process.marked = self._die_with_result
+            self._die_at_mark(self.process, self._random.choice([0, 1, 2, 3]))
 
-    def _die_with_result(self) -> None:
-        process = self.process
-        if process is not None:
-            process.marked = lambda: None
-            self.agenda.after(self._random.choice([0.0, 1.5 * TRANSMITTED]) * self._random.random(), process.kill)
+    def _die_at_mark(self, process: PlannerProcess, left: int) -> None:
+        """Kills a process at the next mark or record, or after `left` further ones."""
+
+        def marked() -> None:
+            if left:
+                self._die_at_mark(process, left - 1)
+            else:
+                process.marked = lambda: None
+                self.agenda.after(self._random.choice([0.0, 1.5 * TRANSMITTED]) * self._random.random(), process.kill)
+
+        process.marked = marked
 
     def end_in_order(self) -> None:
         """Asks the process to end, perhaps while requests arrive."""
@@ -276,6 +284,13 @@ class Daemon:
     def be_calm(self, calm: bool) -> None:
         self.clients.calm, self.wanted = calm, False
         self.mood.errs = 0.0 if calm else self._errs
+
+    @property
+    def hindered(self) -> bool:
+        """Whether something may delay answers: network, disk, socket, loop, clients or workers."""
+        held_up = self.slow > 0.0 or self.congestion > 0.0 or self.zenoh.lost or self.network.full
+        late = self.mood.disturbed or (self.process is not None and self.process.workers.late)
+        return held_up or late or self.storage.room is not None
 
     @property
     def calm(self) -> bool:

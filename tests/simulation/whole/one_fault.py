@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 TOLD_WITHIN, BOOTED_WITHIN = 1.0, 30.0  # [s] from a cause to its warning, and back; until an executor is ready again
 WARNED = 11.0  # [s] for which a warning of the shell stays after its cause, and a moment
+LONG = 0.1  # share of such a warning, from that of others: the world is over soon
 
 
 class Row(NamedTuple):
@@ -28,7 +29,8 @@ class Row(NamedTuple):
 
 def one_fault(world: World, daemon: Daemon, random: Random) -> None:
     """Lets one fault happen; calm clients remove obstacles and locks by themselves."""
-    row = random.choice(_rows(world, daemon, random))
+    rows = _rows(world, daemon, random)
+    row = random.choices(rows, [LONG if row.over == WARNED else 1.0 for row in rows])[0]
     before = codes(daemon)
     daemon.wanted = True
     world.account.see("breaks", before | row.also | {row.code})

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 MOST_TRIES = 5  # places of an obstacle, until one is clear of the arm
 STATES = ("contracted", "extended")
+NEAR = 2  # switches to a near configuration
 WILLING = 0.9  # share of the goals that can be accepted if the arm is ready, and stays so
 POSES = ("pick", "place", "a b", "P1")
 
@@ -40,7 +41,7 @@ class Wishes:
             if random.random() < 0.15:
                 row = self._daemon.space.notations[random.choice(self._chosen())]
                 waypoints[-1] = {"configuration": row, "t": time}
-            time += pace.shortest * random.choice([1.0, 2.0, 4.0, len(self._labels)])
+            time += pace.shortest * random.choice([3.0, 4.0] if self._willing else [1.0, 2.0, 4.0, len(self._labels)])
         message: dict[str, Any] = {"waypoints": waypoints}
         if random.random() < 0.12:
             self._follow_lines(message)
@@ -49,7 +50,7 @@ class Wishes:
         if random.random() < 0.9 or "path_tolerance" in message:
             message["id"] = f"g{self.numbers}"
         if random.random() < 0.15:
-            message["stamp"] = self._daemon.wall() + random.uniform(0.3 if self._willing else -0.5, 1.0)
+            message["stamp"] = self._daemon.wall() + random.uniform(0.6 if self._willing else -0.5, 1.0)
         if random.random() < 0.5:
             chosen = {"position": random.choice([0.05, 0.3, 1.0])}
             message["tolerance"] = {**message.get("tolerance", {}), **chosen}
@@ -80,7 +81,7 @@ class Wishes:
             if k and "position" in waypoint and "position" in waypoints[k - 1]:
                 length = math.dist(waypoint["position"], waypoints[k - 1]["position"])
                 parts = math.ceil(length / (tolerance / 2)) + 1
-                time += self._daemon.pace.shortest * parts * random.choice([1.0, 2.0] if self._willing else [1.0, 0.3])
+                time += self._daemon.pace.shortest * parts * random.choice([2.0, 3.0] if self._willing else [1.0, 0.3])
             elif k:
                 time += self._daemon.pace.shortest
             waypoint["t"] = time
@@ -96,68 +97,55 @@ class Wishes:
     def sure_goal(self) -> dict[str, Any]:
         """Returns a goal of up to four waypoints that succeeds in calm; several configurations may serve each."""
         tips, reachable, random = self._daemon.space.tips, self._reachable(), self._random
-        apart = self._daemon.pace.shortest * len(self._labels)
+        apart = 2 * self._daemon.pace.needed(len(self._labels))
         places = [tips[random.choice(reachable)].tolist() for _ in range(random.choice([1, 3, 4]))]
         waypoints = [{"position": place, "t": k * apart} for k, place in enumerate(places)]
         tolerance = {"position": random.choice([0.05, 0.3, 1.0])}
         return {**self.simple_goal(), "waypoints": waypoints, "tolerance": tolerance}
 
-    def drawn(self) -> tuple[str, dict[str, Any] | bytes, str]:
-        """Returns key and payload of a request in calm, and its answer: "accepted", or the reason of a refusal."""
-        position, row = self.position(), self._daemon.space.notations[0]
-        k = self._random.randrange(len(self._labels))
-        jogged = "actuator-locked" if self._daemon.executed.locked >> k & 1 else "accepted"
-        of_fault = [] if self._daemon.simulated else [("fault", {"fault": "silence can0/5"}, "not-simulated")]
-        return self._random.choice(
-            [
-                ("goal", self.simple_goal(), "accepted"),
-                ("plan", self.simple_goal(), "accepted"),
-                (
-                    "jog",
-                    {"actuators": self.some_states()},
-                    "actuator-locked" if self._daemon.executed.locked else "accepted",
-                ),
-                ("cancel", {"id": "nobody"}, "accepted"),
-                ("obstacles", {"regions": []}, "accepted"),
-                ("reset", {}, "accepted"),
-                ("goal", {"waypoints": []}, "no-waypoints"),
-                ("goal", b"\xff", "not-utf8"),
-                ("goal", b"{", "not-json"),
-                ("goal", b"[1]", "no-object"),
-                ("goal", {"waypoints": [{"t": 1.0}]}, "no-destination"),
-                ("goal", {"waypoints": [{"position": [0.1, 0.1, 0.1]}]}, "wrong-dimension"),
-                ("goal", {"waypoints": [{"position": position, "configuration": row}]}, "two-destinations"),
-                ("goal", {"waypoints": [{"position": position}, {"position": position}]}, "times-not-increasing"),
-                ("goal", {"waypoints": [{"position": [1e3, 0.0]}]}, "beyond-length"),
-                ("goal", {"waypoints": [{"position": position}], "speed": 1}, "invalid-fields"),
-                ("plan", {"waypoints": [{"position": [1e3, 0.0]}]}, "beyond-length"),
-                ("jog", {"actuators": {self._labels[k]: self._random.choice(STATES)}}, jogged),
-                ("cancel", {"id": "nobody"}, "accepted"),
-                ("obstacles", {"regions": []}, "accepted"),
-                ("reset", {}, "accepted"),
-                ("goal", {"waypoints": []}, "no-waypoints"),
-                ("goal", b"\xff", "not-utf8"),
-                ("goal", b"{", "not-json"),
-                ("goal", b"[1]", "no-object"),
-                ("goal", {"waypoints": [{"t": 1.0}]}, "no-destination"),
-                ("goal", {"waypoints": [{"position": [0.1, 0.1, 0.1]}]}, "wrong-dimension"),
-                ("goal", {"waypoints": [{"position": position, "configuration": row}]}, "two-destinations"),
-                ("goal", {"waypoints": [{"position": position}, {"position": position}]}, "times-not-increasing"),
-                ("goal", {"waypoints": [{"position": [1e3, 0.0]}]}, "beyond-length"),
-                ("goal", {"waypoints": [{"position": position}], "speed": 1}, "invalid-fields"),
-                ("plan", {"waypoints": [{"position": [1e3, 0.0]}]}, "beyond-length"),
-                ("jog", {"actuators": {"9.9": "extended"}}, "unknown-actuator"),
-                ("degrade", {"actuator": "9.9", "state": 1}, "unknown-actuator"),
-                ("result", {"id": "nobody"}, "unknown-goal"),
-                ("poses", {"remove": "nobody"}, "unknown-pose"),
-                *of_fault,
-            ]
-        )
+    def drawn(self) -> tuple[str, dict[str, Any] | bytes, tuple[str, ...]]:
+        """Returns key and payload of a request in calm, and its possible answers."""
+        position, row, jogged = self.position(), self._daemon.space.notations[0], self.some_states()
+        locked = {label for k, label in enumerate(self._labels) if self._daemon.executed.locked >> k & 1}
+        asked = [
+            ("goal", self.simple_goal(), ("accepted",)),
+            ("plan", self.simple_goal(), ("accepted",)),
+            ("jog", {"actuators": jogged}, ("actuator-locked" if locked & jogged.keys() else "accepted",)),
+            ("cancel", {"id": "nobody"}, ("accepted",)),
+            ("obstacles", {"regions": []}, ("accepted",)),
+            ("reset", {}, ("accepted",)),
+            ("goal", {"waypoints": []}, ("no-waypoints",)),
+            ("goal", b"\xff", ("not-utf8",)),
+            ("goal", b"{", ("not-json",)),
+            ("goal", b"[1]", ("no-object",)),
+            ("goal", {"waypoints": [{"t": 1.0}]}, ("no-destination",)),
+            ("goal", {"waypoints": [{"position": [0.1, 0.1, 0.1]}]}, ("wrong-dimension",)),
+            ("goal", {"waypoints": [{"position": position, "configuration": row}]}, ("two-destinations",)),
+            ("goal", {"waypoints": [{"position": position}, {"position": position}]}, ("times-not-increasing",)),
+            ("goal", {"waypoints": [{"position": [1e3, 0.0]}]}, ("beyond-length",)),
+            ("goal", {"waypoints": [{"position": position}], "speed": 1}, ("invalid-fields",)),
+            ("plan", {"waypoints": [{"position": [1e3, 0.0]}]}, ("beyond-length",)),
+            ("jog", {"actuators": {"9.9": "extended"}}, ("unknown-actuator",)),
+            ("degrade", {"actuator": "9.9", "state": 1}, ("unknown-actuator",)),
+            ("result", {"id": "nobody"}, ("unknown-goal",)),
+            ("poses", {"remove": "nobody"}, ("unknown-pose",)),
+        ]
+        if not self._daemon.simulated:
+            asked.append(("fault", {"fault": "silence can0/5"}, ("not-simulated",)))
+        return self._random.choice(asked)
 
     def _chosen(self) -> Sequence[int]:
-        """Returns the configurations for waypoints: those that can be reached, or all of them."""
-        every = range(len(self._daemon.space.tips))
-        return (self._reachable() or every) if self._willing else every
+        """Returns the configurations for waypoints: those that can be reached, or all of them.
+
+        Among obstacles a long way is often blocked: only near ones are drawn then.
+        """
+        every, exchange, snapshot = range(len(self._daemon.space.tips)), self._daemon.exchange, self._daemon.snapshot
+        if not self._willing or snapshot is None or not (reachable := self._reachable()):
+            return every
+        if not exchange.possible or self._random.random() < 0.2:
+            return reachable
+        start, codes = states_from(snapshot), self._daemon.space.codes
+        return [k for k in reachable if (int(codes[k]) ^ start).bit_count() <= NEAR] or reachable
 
     def _reachable(self) -> list[int]:
         """Returns the configurations to which the arm can go now, with its locks and among the obstacles."""
@@ -214,7 +202,7 @@ class Wishes:
         touches, tries = snapshot is None or random.random() < 0.1, 0
         while True:
             row, tries = random.choice(space.joints), tries + 1
-            k, share, radius = random.randrange(len(row) - 1), random.random(), random.choice([0.02, 0.05, 0.2])
+            k, share, radius = random.randrange(len(row) - 1), random.random(), random.choice([0.01, 0.02, 0.05, 0.2])
             disc = Disc(*(float(x) for x in row[k] + share * (row[k + 1] - row[k])), radius)
             if touches or tries > MOST_TRIES or not space.touched(disc, code := unpack(snapshot.measured), code):
                 return disc

@@ -29,6 +29,7 @@ from tests.simulation.verdict import require
 ABANDONED_WITHIN = 0.05  # [s]
 LONG_PLAN = 4.0  # times as long as other searches takes a plan that is only described
 DEARER, DEAREST = 1.2, 0.05  # price of a look at the clock: a multiple of the last one's, and most [s]
+LATER = 1.0  # [s] after a task that was late, in which others make up for it
 USUAL_DELAY = 0.01  # [s], mean time of a task
 
 
@@ -96,9 +97,16 @@ class LateWorkers:
         self._lane_of = {kind: name for name, kinds in THREADS.items() for kind in kinds}
         self._abandoned: set[int] = set()
         self._hung = -1  # number of the task that is never answered
+        self._late_until = 0.0  # end of what began while the workers were disturbed [s]
 
     def _never(self, reason: str) -> None:
         raise AssertionError(reason)
+
+    @property
+    def late(self) -> bool:
+        """Whether a task began while the workers were disturbed, and may go on."""
+        hangs = any(lane and lane[0][0] == self._hung for lane in self._lanes.values())
+        return hangs or self._agenda.now < self._late_until
 
     def end(self) -> None:
         """Ends the workers with their process: nobody sees their answers."""
@@ -143,7 +151,12 @@ class LateWorkers:
         elif isinstance(answers[0], Planned) and self._random.random() < self._mood.errs:
             answers = deque([cut_short(answers[0])])
         delay *= 0.3 if isinstance(task, FollowSetpoint) else LONG_PLAN if isinstance(task, DescribePlan) else 1.0
-        self._agenda.after(delay, lambda: self._proceed(name, number, answers))
+        self._after(delay, lambda: self._proceed(name, number, answers))
+
+    def _after(self, delay: float, happen: Callable[[], None]) -> None:
+        if self._mood.disturbed:
+            self._late_until = max(self._late_until, self._agenda.now + delay + LATER)
+        self._agenda.after(delay, happen)
 
     def _proceed(self, name: str, number: int, answers: deque[Answer]) -> None:
         """Gives the next answer of a task that runs and is wanted."""
@@ -155,7 +168,7 @@ class LateWorkers:
             return
         self._post(Answered(number, answers.popleft(), False))
         delay = self._random.expovariate(0.2 / self._mood.delay)
-        self._agenda.after(delay, lambda: self._proceed(name, number, answers))
+        self._after(delay, lambda: self._proceed(name, number, answers))
 
     def _end(self, name: str, number: int, answer: Answer) -> None:
         """Gives the last answer of a task, and begins the next task of its thread."""

@@ -33,7 +33,7 @@ class Sent:
         query: whether it is a query; else a put.
         at: time of sending [s].
         replies: takes the payload of each reply.
-        drawn: "accepted", or the reason of the refusal for which it was drawn in calm; None: nobody can say.
+        drawn: "accepted", or the reasons of the refusals for which it was drawn in calm; empty: nobody can say.
     """
 
     client: int
@@ -43,7 +43,7 @@ class Sent:
     query: bool
     at: float
     replies: list[bytes] = field(default_factory=list)
-    drawn: str | None = None
+    drawn: tuple[str, ...] = ()
 
 
 class Observer(Protocol):
