@@ -24,7 +24,8 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import FrameEchoed, FrameReceived
 
-LONGEST_TICK = 2 * program.TICK  # [s], most time that supervision counts for a tick, so that a late tick is no delay
+REST = 5  # most periods of TICK between two ticks at rest
+CROWDED, AWAKE = 64, 1.0  # frames between two ticks that would fill a socket's buffer at rest; [s] without rest then
 DEFECT = ArmFault("internal-error", "executor", "internal error, see the log; the arm holds")
 
 
@@ -63,6 +64,8 @@ class Executor:
         self.ending = Ending(arm, motion, locked, modes, self._act)
         self._last_tick: float | None = None
         self._awake = 0.0  # awake time until the last tick [s]
+        self.period = program.TICK  # until the next tick [s]
+        self._frames, self._awake_until = 0, 0.0  # since the last tick; time until which too many frames forbid rest
         self._next_beat = 0.0
         self._healthy = True
         self._handed_out = False  # this step sends frames, so the snapshot comes with the next step
@@ -81,6 +84,13 @@ class Executor:
         """Whether no commit and no procedure with a board is under way, so that the core can be pickled."""
         return self.master.calm and not self.motion.busy
 
+    def resting(self, now: float) -> bool:
+        """Returns whether nothing moves and nobody waits, so that frames may wait for the next tick."""
+        asked = self.ending.begun or self.requests.held or self.board_errors.waiting
+        rests = self.modes.mode in ("ready", "stopped", "fault") and not asked and now >= self._awake_until
+        motion = self.motion
+        return rests and motion.supervision.resting and motion.actuation.resting(now) and self.master.resting
+
     def step(self, event: events.Event, now: float) -> list[events.Action]:
         """Handles an event of a bus, a client or the loop; returns the actions in their order.
 
@@ -88,7 +98,8 @@ class Executor:
         CLOCK_MONOTONIC, or another clock that never goes back [s].
         """
         self._healthy, self._handed_out = True, False
-        late = 0.0 if self._last_tick is None else min(now - self._last_tick, LONGEST_TICK)
+        # A tick that is late by more than a period is no delay of an actuator.
+        late = 0.0 if self._last_tick is None else min(now - self._last_tick, self.period + program.TICK)
         self.motion.clock = self._awake + late  # does not grow while a tick is late
         for part in (self._find_pause, self._handle, self._conclude, self._tell):
             try:
@@ -139,6 +150,7 @@ class Executor:
             case Quit():
                 self._quit(now)
             case _:
+                self._frames += 1
                 self.master.receive_event(event, now)
 
     def _conclude(self, event: events.Event, now: float) -> None:
@@ -197,6 +209,17 @@ class Executor:
         if self._watchdog and self._healthy and now >= self._next_beat:
             self._act(Notify("WATCHDOG=1"))
             self._next_beat = now + self._watchdog / 4
+        self._plan_next(now)
+
+    def _plan_next(self, now: float) -> None:
+        """Plans the next tick: at rest the first one at which something is due, or after REST periods."""
+        if self._frames > CROWDED:
+            self._awake_until = now + AWAKE
+        self._frames, self.period = 0, program.TICK
+        if self.resting(now):
+            due = min(self.reports.next_due(), self.master.next_due(), self._next_beat if self._watchdog else math.inf)
+            self.period *= min(max(math.ceil((due - now) / program.TICK - 0.01), 1), REST)
+        self.master.rest(self.period)
 
     def _advance(self, now: float) -> None:
         if self.modes.mode == "executing" and (end := self.motion.advance(now)) is not None:

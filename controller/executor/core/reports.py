@@ -41,6 +41,10 @@ class Reports:
         self._next_snapshot = self._next_diagnostics = 0.0
         self._shown: tuple[int, ...] = ()
 
+    def next_due(self) -> float:
+        """Returns when the next snapshot or diagnostics are due by time [s]."""
+        return min(self._next_snapshot, self._next_diagnostics)
+
     def snapshot_due(self, now: float) -> bool:
         """Returns whether a snapshot is due at this tick: by time, or because the state has changed."""
         motion = self._motion

@@ -75,6 +75,11 @@ class Actuation:
         on = (extending | contracting) & self._kinds.pulsed
         return any(now < self._pulse_ends[k] + LATE for k in indices(on))
 
+    def resting(self, now: float) -> bool:
+        """Returns whether no commit and no pulse is under way, and all travels are over and proven."""
+        waits = self.target is not None or self._watched or self.unproven
+        return not waits and now >= self.free_at and not self.pulsing(now)
+
     def differ(self, states: int, homing: int) -> int:
         """Returns the mask of the actuators that a switch to `states` energises or releases, with those of `homing`."""
         return (self.states ^ states) | (self.uncertain & homing)

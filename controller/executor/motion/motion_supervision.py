@@ -93,6 +93,13 @@ class MotionSupervision:
         unconfirmed = self._pending & ~self._confirms
         return any(clock - self._switched_at[k] < self._travel(k) for k in indices(unconfirmed))
 
+    @property
+    def resting(self) -> bool:
+        """Whether nothing moves, and no end-stop contradicts the commanded state but as reported."""
+        ends = self._ends
+        wrong = (self._late(ends) & self._boards.known & self._commanded_known) | (ends.extended & ends.contracted)
+        return not (wrong & ~self._reported or self._pending or self._suspect or self._strayed or self._doubtful)
+
     def decided(self) -> bool:
         """Returns whether no end-stop contradicts the commanded state in a way that may still become a fault."""
         contradicted = self._strayed | self._doubtful | (self._pending and self._pending & self._late(self._ends))

@@ -93,17 +93,20 @@ class EventLoop:
             for event in self._server.poll(ready):
                 self._step(event)
                 self._receive_frames()
+            if self.real_time.rests and not self._core.resting(now := self._clock()):
+                self.real_time.hurry(now)
             if not ready and self._may_report(self._clock()):
                 self._report(self.queued.popleft())
         except Exception:  # the arm holds, and the boards keep their master
             self._step(events.Defect(traceback.format_exc()))
 
     def _wait(self) -> list[int]:
-        """Waits for a readable or writable file descriptor or the tick; returns the readable ones."""
-        now = self._clock()
-        timeout = 0.0 if self._may_report(now) else max(min(self.real_time.remaining(now), self._buses.wait(now)), 0.0)
+        """Waits for a readable or writable file descriptor or the tick; returns the readable ones. See `resting`."""
+        now, rests = self._clock(), self.real_time.rests
+        longest = self.real_time.remaining(now) if rests else min(self.real_time.remaining(now), self._buses.wait(now))
+        timeout = 0.0 if self._may_report(now) else max(longest, 0.0)
         clients = [] if self.real_time.tick_is_near(now) else self._server.readable()
-        readable = [self._wake, *self._buses.filenos(), *clients]
+        readable = [self._wake, *([] if rests else self._buses.filenos()), *clients]
         writable = self._server.writable()
         read, written, _ = select.select(readable, writable, [], timeout)
         if written:
@@ -127,7 +130,7 @@ class EventLoop:
             self._step(events.Health(self.real_time.drain_figures(), self._server.dropped, self._core.journal.problem))
         self._step(events.ExecutorTick())
         self._receive_frames()
-        self.real_time.ticked(began, self._clock())
+        self.real_time.ticked(began, self._clock(), self._core.period)
         if self.recorder is not None:
             self.recorder.flush()
         self._garbage.collect(self._core.modes.mode != "executing")
@@ -194,15 +197,26 @@ class EventLoop:
 
 
 class Timekeeper:
-    """Ticks at a fixed phase, every `period` seconds; missed ticks are counted and skipped."""
+    """Ticks at a fixed phase, every `period` seconds or after several; missed ticks are counted and skipped."""
 
     def __init__(self, period: float) -> None:
-        self._period, self._overruns = period, 0
+        self._period, self._planned, self._overruns = period, period, 0
         self.next_tick = self._last = 0.0
         self._late, self._periods, self._works = list[float](), list[float](), list[float]()
 
     def start(self, now: float) -> None:
         self.next_tick = self._last = now
+
+    @property
+    def rests(self) -> bool:
+        """Whether the next tick was planned for several periods."""
+        return self._planned > self._period
+
+    def hurry(self, now: float) -> None:
+        """Ends a rest: the next tick is the first of the phase."""
+        spare = int((self.next_tick - now) / self._period) * self._period
+        self.next_tick -= max(spare, 0.0)
+        self._planned = self._period
 
     def remaining(self, now: float) -> float:
         return max(self.next_tick - now, 0.0)
@@ -211,12 +225,14 @@ class Timekeeper:
         """Returns whether the next tick is close, but not due: long work would delay it."""
         return 0.0 < self.next_tick - now < CLOSE
 
-    def ticked(self, began: float, ended: float) -> None:
-        self._late.append(began - self.next_tick)
-        self._periods.append(began - self._last)
+    def ticked(self, began: float, ended: float, planned: float) -> None:
+        """Records a tick; the next one comes after `planned` seconds."""
+        late = began - self.next_tick
+        self._late.append(late)
+        self._periods.append(began - self._last if not self.rests else self._period + late)
         self._works.append(ended - began)
-        self._last = began
-        self.next_tick += self._period
+        self._last, self._planned = began, planned
+        self.next_tick += planned
         if self.next_tick < ended:
             missed = int((ended - self.next_tick) / self._period) + 1
             self._overruns += missed

@@ -12,7 +12,8 @@ from hyperbit.drivers.canopen.wire.cia301 import Frame, State
 from hyperbit.drivers.canopen.wire.link import Link, Outgoing
 from hyperbit.drivers.canopen.wiring import MASTER, Timing, next_due
 
-_LONGEST_STEP = 0.05  # [s]
+_LATEST = 0.04  # [s] by which a tick may be late
+_PERIOD = 0.01  # [s] between two ticks, unless another one is told
 _PHASES = 10  # groups of boards with node guarding, polled at different ticks
 BEAT = cia301.heartbeat(MASTER, State.OPERATIONAL)
 
@@ -54,6 +55,11 @@ class Heartbeat:
             self._polls[board.index] = at, outgoing
             board.link.queue(outgoing, now, urgent=True)
 
+    def next_due(self) -> float:
+        """Returns the time of the next heartbeat or poll [s]."""
+        polled = (at + self._period for at, _ in self._polls.values())
+        return min((*self._due.values(), *polled), default=math.inf)
+
     def answered(self, board: Board, now: float) -> None:
         """Records a frame that shows that a guarded board got its poll, also if the echo of the poll was lost."""
         if (poll := self._polls.get(board.index)) is not None:
@@ -77,21 +83,22 @@ class Heartbeat:
 
 
 class LoopClock:
-    """Time for timeouts. It advances by at most 50 ms between two ticks.
+    """Time for timeouts. Between two ticks it advances by at most 40 ms more than their period.
 
     Frames that arrive during a stall of the loop are read only after it, so a stall alone must end no timeout.
     """
 
     def __init__(self) -> None:
         self.now = 0.0  # at the last tick [s]
+        self.period = _PERIOD  # until the next tick [s]
         self.stalled = False  # the last tick was so late that time stood still
         self._ticked: float | None = None  # real time of the last tick [s]
 
     def at(self, clock: float) -> float:
         passed = 0.0 if self._ticked is None else clock - self._ticked
-        return self.now + min(max(passed, 0.0), _LONGEST_STEP)
+        return self.now + min(max(passed, 0.0), self.period + _LATEST)
 
     def tick(self, clock: float) -> float:
-        self.stalled = self._ticked is not None and clock - self._ticked > _LONGEST_STEP
+        self.stalled = self._ticked is not None and clock - self._ticked > self.period + _LATEST
         self.now, self._ticked = self.at(clock), clock
         return self.now

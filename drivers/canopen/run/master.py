@@ -67,7 +67,8 @@ class Master:
         match event:
             case events.FrameReceived(bus, frame):
                 link.received(wire_bits(len(frame.data)))
-                if not self._receive_frame(bus, frame, time):
+                came = time if event.at is None else min(time, self._clock.at(event.at))
+                if not self._receive_frame(bus, frame, came):
                     link.ignored += 1
             case events.FrameEchoed(bus, frame):
                 if not (sent := link.echoed(frame, time)):  # another program of this computer has sent it
@@ -92,7 +93,7 @@ class Master:
                 self._heartbeat.send_failed(bus, frame)
 
     def tick(self, now: float) -> None:
-        """Sends heartbeats, ends timeouts, and finds lost boards and stuck buses. Call every 10 ms.
+        """Sends heartbeats, ends timeouts, and finds lost boards and stuck buses. Call it every 10 ms, see `rest`.
 
         Only this method sends the master's heartbeat, so that the boards of a hanging executor become safe.
         """
@@ -109,6 +110,20 @@ class Master:
             self._verification.tick(time)
             self._inputs.tick(time)
             self._errors.tick(time)
+
+    def rest(self, period: float) -> None:
+        """Tells that the next tick comes after `period` [s]; it may be longer than 10 ms while `resting`."""
+        self._clock.period = period
+
+    @property
+    def resting(self) -> bool:
+        """Whether no commit, boot or hurried read is under way, and all buses send: frames may wait for a tick."""
+        waits = self.committing or self.booting or self._outputs.unread or self._outputs.doubtful
+        return not waits and all(link.armed and not link.failing for link in self.links.values())
+
+    def next_due(self) -> float:
+        """Returns when the next heartbeat or poll of a guarded board is due [s]."""
+        return self._heartbeat.next_due()
 
     def find_pause(self, now: float) -> ArmFault | None:
         """Returns a fault if `tick` was not called for so long that the boards lost their master; each pause once.

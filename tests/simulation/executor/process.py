@@ -26,7 +26,14 @@ from hyperbit.controller.executor.process.journal_file import FileJournal
 from hyperbit.controller.flight_recorder import FlightRecorder
 from hyperbit.controller.host.process import Log, Notify, Quit
 from hyperbit.controller.program import TICK, Goodbye, Up
-from hyperbit.drivers.canopen.wire.events import BusChanged, SendFailed
+from hyperbit.drivers.canopen.wire.events import (
+    BusChanged,
+    BusOverrun,
+    FrameEchoed,
+    FrameIgnored,
+    FrameReceived,
+    SendFailed,
+)
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.bus_model import BusModel
 from tests.simulation.executor.habits import Habits
@@ -35,6 +42,7 @@ from tests.simulation.executor.witness import Witness
 MEMORY = Path("/dev/shm")
 SOON = 0.001  # [s] before diagnostics are due at which a tick asks for the figures of the process
 LOOP_FAILS = "the simulated loop fails"  # text of a defect that the world draws
+OF_BUSES = FrameReceived, FrameEchoed, FrameIgnored, BusChanged, BusOverrun, SendFailed
 WAKE_UP = 0.0002  # [s], longest wake-up time of a process that is not stalled
 
 
@@ -75,7 +83,7 @@ class ExecutorProcess:
         self._events: deque[Event] = deque()
         self._awake_at = self._started_at = 0.0
         self._woken = self._ticked = False
-        self._next_tick = 0.0
+        self._next_tick, self._ticks, self._rests = 0.0, 0, False
         self._clients: set[ClientId] = set()
         self._actions_left: int | None = None
         self._tearable = False  # a kill now may be in the middle of the journal's last write
@@ -94,7 +102,7 @@ class ExecutorProcess:
             core = self.core
             self.recorder.begin(core, lambda count: core.calm)
         self._next_tick = self._agenda.now
-        self._ticked = False
+        self._ticked = self._rests = False
         self._started_at = self._agenda.now
         self._witness.started()
         for name, bus in self._buses.items():
@@ -172,9 +180,11 @@ class ExecutorProcess:
         return True
 
     def post(self, event: Event) -> None:
+        """Takes an event. At rest those of buses wait for the tick, or for a client's message."""
         if self.core is not None:
             self._events.append(event)
-            self._wake()
+            if not self._rests or not isinstance(event, OF_BUSES):
+                self._wake()
 
     def _wake(self) -> None:
         if not self._woken:
@@ -184,8 +194,9 @@ class ExecutorProcess:
 
     def _tick_later(self, instance: int) -> None:
         def due() -> None:
-            if self.core is None or instance != self.instances:
+            if self.core is None or instance != self.instances or number != self._ticks:
                 return
+            self._rests = False
             if self._agenda.now < self._awake_at:
                 self._agenda.at(self._awake_at, due)
                 return
@@ -198,10 +209,16 @@ class ExecutorProcess:
                 ticks = ticks if figures is None else [figures, *ticks]
             (self._events.extendleft(reversed(ticks)) if first else self._events.extend(ticks))
             self._run_now()
-            late = int((self._agenda.now - self._next_tick) / TICK)
-            self._next_tick += (1 + late) * TICK
-            self._agenda.at(self._next_tick, due)
+            if self.core is None:
+                return
+            self._next_tick += self.core.period
+            if self._next_tick <= self._agenda.now:
+                self._next_tick += (1 + int((self._agenda.now - self._next_tick) / TICK)) * TICK
+            self._rests = self.core.period > TICK
+            self._tick_later(instance)
 
+        self._ticks += 1
+        number = self._ticks
         self._agenda.at(self._next_tick, due)
 
     def _run(self) -> None:
@@ -216,6 +233,10 @@ class ExecutorProcess:
             self._step(self._events.popleft())
             if self.core is not None and self.core.ended:
                 self._finish()
+        if self._rests and self.core is not None and not self.core.resting(self._agenda.now):
+            self._rests = False
+            self._next_tick -= int((self._next_tick - self._agenda.now) / TICK) * TICK
+            self._tick_later(self.instances)
 
     def _step(self, event: Event) -> None:
         assert self.core is not None
