@@ -111,13 +111,13 @@ def supply_was_off(at: Place) -> Fault:
 
 @row("left")
 def supply_is_off(at: Place) -> Fault:
-    told = Told(("board-missing",), (at.name,), ("neither booted nor answered",), clears=True)
+    told = Told(("board-missing",), (at.name,), (), clears=True)
     return Fault(at.do("power_cut"), at.do("power_on"), told)
 
 
 @row("left")
 def board_is_not_connected(at: Place) -> Fault:
-    told = Told(("board-missing",), (at.name,), ("neither booted nor answered",), clears=True)
+    told = Told(("board-missing",), (at.name,), (), clears=True)
     return Fault(at.do("silence"), at.do("unsilence"), told)
 
 
