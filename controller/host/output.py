@@ -47,6 +47,10 @@ class Backlog:
         self._put = self._sent = self._dropped = 0  # bytes, bytes, messages
         self._putting, self._sending, self._flushing = threading.RLock(), threading.RLock(), False
 
+    @property
+    def waits(self) -> bool:
+        return bool(self._waiting)
+
     def put(self, message: bytes) -> None:
         with self._putting:
             fits = self._put - self._sent + len(message) <= MOST_WAITING
@@ -143,7 +147,7 @@ class Output(io.RawIOBase):
             return
         if self._thread is None:
             self._backlog.flush()
-        elif self._turns.empty():
+        elif self._backlog.waits and self._turns.empty():
             self._turns.put(True)
 
     def finish(self) -> None:

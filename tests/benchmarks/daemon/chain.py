@@ -31,10 +31,13 @@ class Chain:
     """The arm of the paper, running with real-time priorities. Its records can be read after the context.
 
     Args:
+        spread: whether the boards' heartbeats do not come together, as real crystals drift.
+        polled: whether the bus has no file descriptor.
         fields: replace those of the arm's file.
     """
 
-    def __init__(self, **fields: Any) -> None:
+    def __init__(self, spread: bool = False, polled: bool = False, **fields: Any) -> None:
+        self._spread, self.executor = ["spread"] * spread, "polled" if polled else "executor"
         self.folder, self._closing = Path(tempfile.mkdtemp(prefix="hb")), ExitStack()
         self.processes: dict[str, subprocess.Popen[str]] = {}
         (self.folder / "can").mkdir()
@@ -47,9 +50,9 @@ class Chain:
     def __enter__(self) -> "Chain":
         """Starts all, and waits until the arm is ready."""
         try:
-            print("boards:", self.start("boards", self.folder / "can", self.file, said=True))
+            print("boards:", self.start("boards", self.folder / "can", self.file, *self._spread, said=True))
             socket, ledger = self.folder / "executor.sock", self.folder / "ledger.sqlite"
-            self.start("executor", self.file, "--socket", socket)
+            self.start(self.executor, self.file, "--socket", socket)
             self.start("planner", self.file, "--socket", socket, "--listen", self.endpoint, "--ledger", ledger)
             client = self.client()
             eventually(lambda: client.state["mode"] == "ready" or self._check())

@@ -2,20 +2,22 @@
 
 | kind | part | its file: columns [s] |
 |---|---|---|
-| boards | the boards of an arm's file on an emulated bus | syncs.npz, beats.npz: when the executor handed them over |
-| executor | the unmodified executor | ticks.npz: begin, lateness and duration of each tick |
+| boards | the boards of an arm's file on an emulated bus; "spread": their heartbeats do not come together | syncs.npz, beats.npz: when the executor handed them over |
+| executor, polled | the unmodified executor; the bus of "polled" has no file descriptor | ticks.npz: begin, lateness and duration of each tick |
 | planner | the unmodified `hyperbit run` | solves.npz: begin and end of each search |
 | bare | an empty loop with the executor's period and scheduling | bare.npz: begin and lateness |
 | listener | a bare subscriber of Zenoh at an endpoint | pings.npz: when its callback began |
 """
 
 import gc
+import math
 import select
 import signal
 import socket
 import sys
 import threading
 import time
+from collections import deque
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -65,7 +67,7 @@ class Record:
 class Bus:
     """The one bus: each frame of the executor comes back as its echo, and goes to all boards."""
 
-    def __init__(self, channel: Path, arm: Path, records: dict[int, Record]) -> None:
+    def __init__(self, channel: Path, arm: Path, records: dict[int, Record], spread: bool) -> None:
         executed = read_arm(arm)
         (self._name,) = (bus.name for bus in executed.wiring.buses)
         self._boards, self._records = SimulatedBuses(executed.wiring, executed.timing, self._send), records
@@ -74,10 +76,15 @@ class Bus:
         self._server.listen()
         (channel / "state").write_bytes(bytes([UP, 0]))
         self._client: socket.socket | None = None
+        boards = [board.node for board in executed.wiring.boards]
+        step = executed.timing.heartbeat / len(boards) if spread else 0.0
+        self._delays = {HEARTBEAT + node: k * step for k, node in enumerate(boards)}  # [s] of heartbeats
+        self._late: deque[tuple[float, Frame]] = deque()
 
     def run(self, ending: threading.Event) -> None:
         while not ending.is_set():
-            wait = min(max(self._boards.next_due() - time.monotonic(), 0.0), 0.1)
+            due = min(self._boards.next_due(), self._late[0][0] if self._late else math.inf)
+            wait = min(max(due - time.monotonic(), 0.0), 0.1)
             readable = select.select([self._client or self._server], [], [], wait)[0]
             if readable and self._client is None:
                 self._client, _ = self._server.accept()
@@ -86,6 +93,8 @@ class Bus:
             elif readable:
                 self._receive()
             self._boards.step(time.monotonic())
+            while self._late and self._late[0][0] <= time.monotonic():
+                self._put(self._late.popleft()[1])
 
     def _receive(self) -> None:
         assert self._client is not None
@@ -108,13 +117,19 @@ class Bus:
             self._boards.receive(self._name, frame, time.monotonic())
 
     def _send(self, bus: str, frame: Frame) -> None:
+        if delay := self._delays.get(frame.id, 0.0):
+            self._late = deque(sorted((*self._late, (time.monotonic() + delay, frame))))
+        else:
+            self._put(frame)
+
+    def _put(self, frame: Frame) -> None:
         if self._client is not None:
             self._client.send(FRAME.pack(frame.id, len(frame.data), frame.data, False, time.time()))
 
 
-def boards(folder: Path, ending: threading.Event, channel: str, arm: str) -> None:
+def boards(folder: Path, ending: threading.Event, channel: str, arm: str, spread: str = "") -> None:
     with Record(folder / "syncs.npz", "at") as syncs, Record(folder / "beats.npz", "at") as beats:
-        bus = Bus(Path(channel), Path(arm), {SYNC: syncs, HEARTBEAT + MASTER: beats})
+        bus = Bus(Path(channel), Path(arm), {SYNC: syncs, HEARTBEAT + MASTER: beats}, spread != "")
         if (refused := raise_priority(PRIORITY)) is None:
             lock_memory()
         print(refused or "real time", flush=True)
@@ -126,12 +141,17 @@ def executor(folder: Path, ending: threading.Event, *arguments: str) -> int:
     ticked = Timekeeper.ticked
     with Record(folder / "ticks.npz", "began", "late", "work") as record:
 
-        def noting(keeper: Timekeeper, began: float, ended: float) -> None:
+        def noting(keeper: Timekeeper, began: float, ended: float, planned: float) -> None:
             record.note(began, began - keeper.next_tick, ended - began)
-            ticked(keeper, began, ended)
+            ticked(keeper, began, ended, planned)
 
         Timekeeper.ticked = noting  # type: ignore[method-assign]
         return execute(list(arguments))
+
+
+def polled(folder: Path, ending: threading.Event, *arguments: str) -> int:
+    emulated.EmulatedBus.fileno = lambda self: -1  # type: ignore[method-assign]
+    return executor(folder, ending, *arguments)
 
 
 def planner(folder: Path, ending: threading.Event, *arguments: str) -> int:
@@ -175,7 +195,7 @@ def listener(folder: Path, ending: threading.Event, endpoint: str) -> None:
         ending.wait()
 
 
-KINDS = {part.__name__: part for part in (boards, executor, planner, bare, listener)}
+KINDS = {part.__name__: part for part in (boards, executor, polled, planner, bare, listener)}
 
 
 def main(kind: str, folder: str, *arguments: str) -> None:
