@@ -15,11 +15,14 @@ class FakeMaster:
     Outputs and inputs are lines in the order of `Wiring`. An end-stop reads 1 only while its actuator is at that end.
     """
 
+    resting = False  # it wants each tick
+
     def __init__(self, wiring: Wiring, timing: Timing, send: Any) -> None:
         nodes = wiring.boards
         self.board_of = tuple(nodes.index(c.lines["output"].board) for c in wiring.channels)
         ends = [[line.board for name, line in c.lines.items() if name.startswith("input")] for c in wiring.channels]
         self.input_boards_of = tuple(tuple(sorted({nodes.index(board) for board in boards})) for boards in ends)
+        self.rest = lambda period: None
         self._wiring, self._size = wiring, len(wiring.channels)
         self.outputs = self.inputs = self.doubtful = self.released = 0
         self.unread = self.missed = 0  # masks of lines that were not read back, and of missed pulses

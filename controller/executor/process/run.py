@@ -201,22 +201,19 @@ class Timekeeper:
 
     def __init__(self, period: float) -> None:
         self._period, self._planned, self._overruns = period, period, 0
+        self.rests = False  # the next tick comes after several periods
         self.next_tick = self._last = 0.0
         self._late, self._periods, self._works = list[float](), list[float](), list[float]()
 
     def start(self, now: float) -> None:
         self.next_tick = self._last = now
 
-    @property
-    def rests(self) -> bool:
-        """Whether the next tick was planned for several periods."""
-        return self._planned > self._period
-
     def hurry(self, now: float) -> None:
         """Ends a rest: the next tick is the first of the phase."""
         spare = int((self.next_tick - now) / self._period) * self._period
         self.next_tick -= max(spare, 0.0)
-        self._planned = self._period
+        self._planned -= max(spare, 0.0)
+        self.rests = False
 
     def remaining(self, now: float) -> float:
         return max(self.next_tick - now, 0.0)
@@ -227,11 +224,10 @@ class Timekeeper:
 
     def ticked(self, began: float, ended: float, planned: float) -> None:
         """Records a tick; the next one comes after `planned` seconds."""
-        late = began - self.next_tick
-        self._late.append(late)
-        self._periods.append(began - self._last if not self.rests else self._period + late)
+        self._late.append(began - self.next_tick)
+        self._periods.append(began - self._last - (self._planned - self._period))
         self._works.append(ended - began)
-        self._last, self._planned = began, planned
+        self._last, self._planned, self.rests = began, planned, planned > self._period
         self.next_tick += planned
         if self.next_tick < ended:
             missed = int((ended - self.next_tick) / self._period) + 1

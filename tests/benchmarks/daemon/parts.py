@@ -2,8 +2,9 @@
 
 | kind | part | its file: columns [s] |
 |---|---|---|
-| boards | the boards of an arm's file on an emulated bus; "spread": their heartbeats do not come together | syncs.npz, beats.npz: when the executor handed them over |
-| executor, polled | the unmodified executor; the bus of "polled" has no file descriptor | ticks.npz: begin, lateness and duration of each tick |
+| boards | the boards of an arm's file on an emulated bus | syncs.npz, beats.npz: when the executor handed them over |
+| executor | the unmodified executor | ticks.npz: begin, lateness and duration of each tick |
+| polled | the executor on a bus without a file descriptor | ticks.npz |
 | planner | the unmodified `hyperbit run` | solves.npz: begin and end of each search |
 | bare | an empty loop with the executor's period and scheduling | bare.npz: begin and lateness |
 | listener | a bare subscriber of Zenoh at an endpoint | pings.npz: when its callback began |

@@ -228,12 +228,12 @@ def test_a_second_quit_does_not_wait_for_the_contraction(tmp_path: Path) -> None
 
 
 def test_ticks_are_due_by_the_period_and_missed_ones_are_counted_and_skipped() -> None:
-    keeper = Timekeeper(0.01)
+    keeper = Timekeeper(TICK)
     keeper.start(50.0)
     assert keeper.remaining(50.0) == 0
-    keeper.ticked(50.0, 50.001)
+    keeper.ticked(50.0, 50.001, TICK)
     assert keeper.remaining(50.002) == pytest.approx(0.008)
-    keeper.ticked(50.015, 50.018)
+    keeper.ticked(50.015, 50.018, TICK)
     assert keeper.remaining(50.018) == pytest.approx(0.002), "a late tick does not shift the next"
     assert keeper.drain_figures() == {
         "ticks": 2,
@@ -246,9 +246,24 @@ def test_ticks_are_due_by_the_period_and_missed_ones_are_counted_and_skipped() -
         "late_worst": pytest.approx(0.005),
     }
     assert not any(keeper.drain_figures().values())
-    keeper.ticked(50.02, 50.054)
+    keeper.ticked(50.02, 50.054, TICK)
     assert keeper.remaining(50.054) == pytest.approx(0.006)
     assert keeper.drain_figures()["overruns"] == 3
+
+
+def test_a_rest_has_several_periods_and_its_end_returns_to_the_phase() -> None:
+    keeper = Timekeeper(TICK)
+    keeper.start(50.0)
+    keeper.ticked(50.0, 50.001, 5 * TICK)
+    assert keeper.rests
+    assert keeper.remaining(50.001) == pytest.approx(0.049)
+    keeper.hurry(50.023)
+    assert not keeper.rests
+    assert keeper.remaining(50.023) == pytest.approx(0.007)
+    keeper.ticked(50.03, 50.031, 3 * TICK)
+    keeper.ticked(50.064, 50.065, TICK)
+    assert keeper.drain_figures()["longest_period"] == pytest.approx(0.014), "less by the periods that were planned"
+    assert keeper.remaining(50.065) == pytest.approx(0.005)
 
 
 class Cycle:
