@@ -196,12 +196,13 @@ class ExecutorProcess:
         def due() -> None:
             if self.core is None or instance != self.instances or number != self._ticks:
                 return
-            self._rests = False
             if self._agenda.now < self._awake_at:
                 self._agenda.at(self._awake_at, due)
                 return
-            # `select` promises no order of file descriptors; buses are opened before the first tick.
-            first = self._random.random() < 0.5 and self._ticked
+            # Frames may arrive behind the last poll of the buses; at rest they were waiting for it. Buses are opened
+            # before the first tick.
+            first = self._random.random() < 0.5 and self._ticked and not self._rests
+            self._rests = False
             self._ticked = True
             ticks: list[Event] = [ExecutorTick()]
             if self._habits is not None and self.core.reports.diagnostics_due(self._agenda.now + SOON):

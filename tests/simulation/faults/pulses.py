@@ -6,6 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from tests.simulation.buses.bus_model import RPDOS
 from tests.simulation.faults.fault import AT_ONCE, Fault, Maker, Told
 from tests.simulation.faults.motion import ASKED, Switched, switched
 from tests.simulation.faults.reads import READ_BACK
@@ -175,6 +177,11 @@ def _cancel(it: Switched, hold: Callable[[], None]) -> Callable[[], None]:
     return happen
 
 
+def _twice(frame: Frame) -> str:
+    """Lets a bus bring each SYNC and RPDO twice."""
+    return "twice" if frame.id == cia301.SYNC or frame.id & 0x780 in RPDOS else ""
+
+
 def _fill(it: Switched) -> Callable[[], None]:
     def fill() -> None:
         it.bus.capacity = 0
@@ -190,7 +197,7 @@ _on_the_way("canceled while SYNC waits", lambda it, hold: _then(it, lambda: it.b
 _on_the_way("queue is full after an RPDO", lambda it, hold: _then(it, lambda: it.bus.at_next_rpdo(_fill(it))))
 _on_the_way("echo of an RPDO is lost", lambda it, hold: _then(it, lambda: it.bus.lose_echo(1, sync=False)))
 _on_the_way("echo of a SYNC is lost", lambda it, hold: _then(it, lambda: it.bus.lose_echo(1, sync=True)))
-_on_the_way("command comes twice", lambda it, hold: _then(it, it.place.on_bus("duplication", 0.3)))
+_on_the_way("command comes twice", lambda it, hold: _then(it, it.place.intercept(_twice)))
 _on_the_way(
     "RPDOs wait at the end of a pulse",
     lambda it, hold: it.at_sync(lambda: it.bus.at_next_rpdo(hold), it.pulse / 2) if it.pulse else None,

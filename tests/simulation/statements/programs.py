@@ -39,10 +39,7 @@ UNFED = 10.0  # [s] for which a program waits for its next stages
 
 
 class AcceptedProgramsFit(Statement):
-    """An accepted program begins where the pins are, in the present epoch, in time, and fits the arm.
-
-    An actuator with two outputs may have left its end: a booted executor goes on from what its end-stops read.
-    """
+    """An accepted program begins where the pins are, in the present epoch, in time, and fits the arm."""
 
     number = 2
 
@@ -55,11 +52,12 @@ class AcceptedProgramsFit(Statement):
         self.require(account.now <= program.until + EPSILON, f"{text}, too late by {account.now - program.until:g} s")
         self.require(program.program not in account.programs, f"{text} again")
         unsure = account.missed | account.homing | account.locked | account.fallen
-        pins, start = account.pins[-1], unpack(program.start)
-        told = 0 if account.shown is None else ~(start ^ unpack(account.shown.outputs))
-        differ = (start ^ pins.states) & ~unsure & ~(account.arm.paired & account.arm.sensed & told)
+        start, pins, arm = unpack(program.start), account.pins[-1], account.arm
+        read = arm.measured(pins.extended, pins.contracted, pins.states)
+        without = arm.paired & ~pins.on & ~(start ^ read)  # with no coil on, an actuator is where its end-stop reads
+        differ = (start ^ pins.states) & ~unsure & ~without
         self.require(not differ, f"{text} from other states of {differ:b}")
-        before, earliest = unpack(program.start), -math.inf
+        before, earliest = start, -math.inf
         for stage in program.stages:
             states = unpack(stage.states)
             most, locked = (states ^ before).bit_count() <= account.arm.most, (states ^ before) & account.locked
