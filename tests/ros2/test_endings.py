@@ -1,90 +1,13 @@
-"""What ends motion: it waits for nothing, overtakes what asks for motion, and is repeated until the goal has ended."""
+"""What ends motion is repeated until the goal has ended. tests/ros2/world judges that it bars what came before it."""
 
 import pytest
 
 from hyperbit.controller.ros2 import goals
 from hyperbit.controller.ros2.goal_book import MOST_OWED
 from hyperbit.controller.ros2.wire.action_events import Status
-from tests.ros2.rig import CANCEL, ID, Rig, pose_stamped, trajectory_goal
-from tests.ros2.world.network import MOTION
+from tests.ros2.rig import CANCEL, ID, Rig, trajectory_goal
 
 YEAR = 31_536_000  # [s]
-
-
-def crowd(rig: Rig) -> list[list[object]]:
-    """Lets as many plans wait as may wait."""
-    start = {"header": {"frame_id": "world"}}
-    plans = [rig.call("plan", run=False, start=start, goal=pose_stamped(0.4, 2.9)) for _ in range(64)]
-    assert not any(plans)
-    return plans
-
-
-@pytest.mark.parametrize("key", ["stop", "cancel"])
-def test_a_stop_waits_for_no_plan(rig: Rig, key: str) -> None:
-    plans = crowd(rig)
-    replies = rig.call(key, run=False)
-    rig.threads.run(but=MOTION)
-    assert [it.success for it in replies] == [True]
-    assert rig.daemon.asked == [(key, "")]
-    rig.threads.run()
-    assert all(plans)
-
-
-def test_a_cancel_waits_for_no_plan(rig: Rig) -> None:
-    assert rig.send_goal()
-    crowd(rig)
-    assert rig.cancel()
-    rig.threads.run(but=MOTION)
-    assert rig.daemon.asked[-1] == CANCEL
-    rig.daemon.end("canceled")
-    rig.turns(3.0, but=MOTION)
-    assert rig.status is Status.CANCELED
-
-
-@pytest.mark.parametrize(("key", "barred"), [("stop", {"goal", "reset"}), ("cancel", {"goal"})])
-def test_what_came_before_a_stop_is_not_sent_after_it(rig: Rig, key: str, barred: set[str]) -> None:
-    rig.send_goal(run=False)
-    rig.send_pose()
-    reset = rig.call("reset", run=False)
-    rig.call(key)
-    assert barred.isdisjoint(it for it, _ in rig.daemon.asked)
-    assert [it.success for it in reset] == ["reset" not in barred]
-    assert rig.send_goal(), "what comes later is sent"
-
-
-@pytest.mark.parametrize("answered", [True, False])
-def test_an_accepted_cancel_is_repeated_until_the_goal_has_ended(rig: Rig, answered: bool) -> None:
-    rig.send_goal()
-    rig.daemon.away = set() if answered else {"cancel"}
-    rig.cancel()
-    rig.turns(20.0)
-    assert rig.daemon.count(*CANCEL) > 10
-    assert rig.status is Status.CANCELING
-    rig.daemon.away.clear()
-    rig.daemon.end("canceled")
-    rig.turns(3.0)
-    assert rig.status is Status.CANCELED
-    before = rig.daemon.count(*CANCEL)
-    rig.turns(5.0)
-    assert rig.daemon.count(*CANCEL) == before
-
-
-@pytest.mark.parametrize("told", [True, False])
-def test_an_accepted_cancel_survives_a_kill(rig: Rig, told: bool) -> None:
-    """`told`: the client knows that its cancel is accepted."""
-    rig.send_goal()
-    if told:
-        rig.cancel()
-        rig.kill()
-    else:
-        rig.killed_in(rig.cancel)
-    assert rig.daemon.count(*CANCEL) == 0
-    rig.restart()
-    rig.turns(4.0)
-    assert rig.daemon.count(*CANCEL) > 1
-    rig.daemon.end("canceled")
-    rig.turns(3.0)
-    assert rig.status is Status.CANCELED
 
 
 @pytest.mark.parametrize("killed", [True, False])
@@ -173,18 +96,6 @@ def test_a_goal_that_is_rejected_without_an_answer_is_canceled(rig: Rig) -> None
     rig.turns(4.0)
     assert not rig.judge.debts
     assert rig.send_goal()
-
-
-def test_a_goal_of_a_topic_without_an_answer_is_canceled(rig: Rig) -> None:
-    rig.daemon.away = {"goal"}
-    rig.send_pose()
-    rig.threads.run()
-    (name,) = [it for key, it in rig.daemon.asked if key == "goal"]
-    rig.turns(3.0)
-    assert rig.daemon.count("cancel", name) > 1
-    rig.daemon.ledger[name] = {"status": "canceled"}
-    rig.turns(3.0)
-    assert not rig.judge.debts
 
 
 def test_no_goal_begins_while_too_many_cancels_are_owed(rig: Rig) -> None:

@@ -23,20 +23,6 @@ NO_ID = msgspec.json.encode([msgspec.structs.replace(FIRST, uuid="none")])
 ENDED = msgspec.structs.replace(FIRST, result=GoalResult("succeeded"), ended=100.0)
 
 
-@pytest.mark.parametrize("restarted_before_its_end", [False, True])
-def test_a_canceled_goal_stays_canceled_after_a_restart(rig: Rig, restarted_before_its_end: bool) -> None:
-    rig.send_goal()
-    rig.cancel(run=True)
-    if restarted_before_its_end:
-        rig.kill()
-        rig.restart()
-    rig.tell_end("canceled")
-    first = rig.result()
-    assert first[0] is Status.CANCELED
-    rig.restart()
-    assert rig.result() == first
-
-
 def test_a_goal_that_is_accepted_while_the_bridge_ends_has_one_result(rig: Rig) -> None:
     rig.send_goal(run=False)
     rig.threads.take()

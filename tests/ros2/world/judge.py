@@ -9,9 +9,10 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from hyperbit.controller.ros2.poses import BadGoal
 from hyperbit.controller.ros2.wire.action_events import Status
 from tests.ros2.world.account import ACTIVE, BARRED, ENDS, LEGAL, Ask, Asks, Debt, Goal, Result, Told, Wrong, identity
-from tests.ros2.world.motion import Arm, Invalid, motion_of, time_limit
+from tests.ros2.world.motion import Arm, motion_of, time_limit
 
 REPEATED_WITHIN = 5.0  # [s] until an owed cancel is sent again, for each that is owed
 CANCELED_WITHIN = 2.0  # [s] until a goal is canceled that exceeds its time
@@ -59,7 +60,7 @@ class Judge:
         if message is not None and (key in BARRED):
             try:
                 points = [] if key == "reset" else motion_of(kind, message, self._arm, self._epoch())
-            except Invalid:
+            except BadGoal:
                 points = None
         if message is not None and "/" in name:
             uuid = bytes((message.goal_info if name.endswith(CANCEL) else message).goal_id.uuid)
@@ -187,7 +188,9 @@ class Judge:
                 self._receive_feedback(server, message)
             case "joint_states" if self._state.get("measured") is not None:
                 measured = [math.nan if it is None else float(it) for it in self._state["measured"]]
-                if message.name != list(self._arm.actuators) or repr(message.position.tolist()) != repr(measured):
+                if message.name != list(self._arm.manipulator.actuators) or repr(message.position.tolist()) != repr(
+                    measured
+                ):
                     raise Wrong("joint_states are not what the daemon has measured")
             case "rosout" if len(message.msg) > LONGEST_WORDS or message.msg.startswith("a request failed"):
                 raise Wrong(f"on /rosout: {message.msg[:500]}")

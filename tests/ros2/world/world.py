@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import zenoh
 
 from hyperbit.controller.network.client import Client, Unanswered
@@ -18,6 +19,7 @@ from hyperbit.controller.ros2.answers import Sending
 from hyperbit.controller.ros2.arm_node import Settings
 from hyperbit.controller.ros2.bridge import Bridge
 from hyperbit.controller.ros2.goal_book import GoalBook
+from hyperbit.controller.ros2.poses import Place
 from hyperbit.controller.ros2.wire import attachments
 from hyperbit.controller.ros2.wire.attachments import BadAttachment
 from hyperbit.controller.ros2.wire.cdr import BadMessage, deserialize, serialize
@@ -58,8 +60,7 @@ class World(logging.Handler):
         self.chance, self.clock = random.Random(seed or 0), Clock()
         oriented = seed is not None and self.chance.random() < 0.5
         self.inputs = None if seed is None else Inputs(self.chance)
-        actuators = tuple(told.arm().manipulator.actuators)
-        arm = Arm(("world", "planar16/0"), ("tip_x", "tip_y"), actuators, oriented)
+        arm = Arm(Place("world", "planar16", np.eye(4), 2), told.arm().manipulator, oriented)
         self.judge = Judge(arm, {name: kind for name, (kind, _) in KINDS.items()}, self.clock, self.clock.time)
         self.threads = Threads(self.chance, self.clock)
         self.network = Network(self.judge, self.threads.computer)

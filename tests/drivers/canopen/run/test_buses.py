@@ -35,7 +35,7 @@ def test_a_guarded_board_is_polled_and_its_answers_alternate() -> None:
 def test_forty_guarded_boards_are_polled_in_time() -> None:
     variants = {f"can0/{n}": VARIANTS["guarding-only"] for n in range(1, 41)}
     world = World(each_node(40), variants=variants, bitrate=125_000).up()
-    world.run(2.0)
+    world.run(1.0)
     assert (world.faults, world.master.status().buses[0].dropped) == ([], 0)
 
 

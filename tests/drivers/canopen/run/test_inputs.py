@@ -59,9 +59,9 @@ def test_end_stops_of_many_boards_take_one_hundredth_of_a_slow_bus() -> None:
     world = World(each_node(30), bitrate=125_000).up()
     world.run(1.0)
     world.frames()
-    world.run(20.0)
+    world.run(10.0)
     reads = [data for cob_id, data in world.frames(sdo=True) if cob_id & 0x780 == 0x600 and data[:8] == "40 00 60"]
-    assert 60 < len(reads) < 100  # two frames of 135 bits each: 1 % is 4.6 reads a second
+    assert 30 < len(reads) < 50  # two frames of 135 bits each: 1 % is 4.6 reads a second
     assert world.faults == []
 
 

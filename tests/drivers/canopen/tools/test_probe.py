@@ -35,7 +35,7 @@ def test_all_nodes_are_found_and_nothing_is_written() -> None:
     assert all(data.startswith(("40", "60", "70")) for data in requests), "uploads and their segments only"
 
 
-@pytest.mark.parametrize("name", ["many-outputs", "maker-object", "canopennode", "slow-answers", "short-mapping"])
+@pytest.mark.parametrize("name", ["many-outputs", "maker-object", "canopennode", "short-mapping"])
 def test_each_variant_has_its_row(name: str) -> None:
     world = World(two_boards(), variant=name)
     world.run(6.0)
