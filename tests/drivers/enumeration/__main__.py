@@ -1,4 +1,4 @@
-"""Runs trials of all boards, and prints a table: `python -m tests.drivers.enumeration --every 20`."""
+"""Runs trials of all boards, and counts boots by failure: `python -m tests.drivers.enumeration --every 20`."""
 
 from __future__ import annotations
 
@@ -6,74 +6,51 @@ import argparse
 import multiprocessing
 import sys
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from functools import partial
 
 from tests.drivers.enumeration.mixed import MIXED
-from tests.drivers.enumeration.trials import Verdict, run, trials
+from tests.drivers.enumeration.trials import run, trials
 from tests.drivers.variants.cases import CASES
 
 SHOWN = 3  # examples of each broken invariant
-COLUMNS = ("boots", "changed by START", "energised", "moved", "refused", "mended")
 BOARDS = (*CASES, *MIXED)
-Rows = dict[tuple[str, str], Counter[str]]
+Counts = Counter[tuple[str, bool]]  # boots by kind of failure, and whether the board was ready at the end
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--every", type=int, default=1, help="run only each N-th trial of a board")
-    parser.add_argument("--board", help="run only boards whose name has this text")
+    parser.add_argument("--board", default="", help="run only boards whose name has this text")
     parser.add_argument("--failure", default="", help="run only failures whose kind has this text")
     parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()
-    began = time.monotonic()
-    numbers = [i for i, case in enumerate(BOARDS) if options.board is None or options.board in case.name]
+    began, boots = time.monotonic(), Counts()
+    examples: defaultdict[str, list[str]] = defaultdict(list)
+    numbers = [i for i, case in enumerate(BOARDS) if options.board in case.name]
     with multiprocessing.Pool(options.processes) as pool:
-        results = pool.map(partial(results_of, every=options.every, kind=options.failure), numbers, chunksize=1)
-    total: Counter[str] = Counter()
-    kinds: Rows = {}
-    print(f"{'board':<36} {'failure':<26}" + "".join(f"{column:>18}" for column in COLUMNS))
-    for rows, _ in results:
-        for (name, kind), counter in rows.items():
-            print(line(name, kind, counter))
-            total.update(counter)
-            kinds.setdefault(("all", kind), Counter()).update(counter)
-    for (name, kind), counter in kinds.items():
-        print(line(name, kind, counter))
-    print(line("all", "all", total))
-    broken = [sentence for _, sentences in results for sentence in sentences]
-    for invariant, examples in alike(broken).items():
-        print(f"\n{invariant}: {len(examples)} times, for example")
-        print("\n".join(f"  {example}" for example in examples[:SHOWN]))
-    print(f"\n{total['boots']} boots in {time.monotonic() - began:.0f} s")
-    return bool(broken)
+        work = partial(results_of, every=options.every, kind=options.failure)
+        for number, (counts, broken) in zip(numbers, pool.imap(work, numbers), strict=True):
+            print(f"{BOARDS[number].name}: {counts.total()} boots", flush=True)
+            boots += counts
+            for trial, sentence in broken:
+                invariant, _, what = sentence.partition(": ")
+                examples[invariant].append(f"{trial}: {what}")
+    for kind in dict.fromkeys(kind for kind, _ in boots):
+        print(f"{kind:<26} {boots[kind, False]:>8} refused {boots[kind, True]:>8} ready")
+    for invariant, found in examples.items():
+        print(f"\n{invariant}: {len(found)} times, for example", *found[:SHOWN], sep="\n  ")
+    print(f"\n{boots.total()} boots in {time.monotonic() - began:.0f} s")
+    return bool(examples)
 
 
-def results_of(number: int, every: int, kind: str) -> tuple[Rows, list[tuple[str, str]]]:
-    case, rows = BOARDS[number], Rows()
-    broken: list[tuple[str, str]] = []
-    for trial in trials(case, every, kind):
+def results_of(number: int, every: int, kind: str) -> tuple[Counts, list[tuple[str, str]]]:
+    counts, broken = Counts(), list[tuple[str, str]]()
+    for trial in trials(BOARDS[number], every, kind):
         verdict = run(trial)
-        rows.setdefault((case.name, trial.failure.kind), Counter()).update(counts(verdict))
+        counts[trial.failure.kind, verdict.ready] += 1
         broken += [(trial.name, sentence) for sentence in verdict.broken]
-    return rows, broken
-
-
-def counts(verdict: Verdict) -> dict[str, int]:
-    columns = (1, verdict.started, verdict.energised, verdict.moved, not verdict.ready, verdict.ready)
-    return dict(zip(COLUMNS, columns, strict=True))
-
-
-def line(name: str, kind: str, counter: Counter[str]) -> str:
-    return f"{name:<36} {kind:<26}" + "".join(f"{counter[column]:>18}" for column in COLUMNS)
-
-
-def alike(broken: list[tuple[str, str]]) -> dict[str, list[str]]:
-    groups: dict[str, list[str]] = {}
-    for trial, sentence in broken:
-        invariant, _, what = sentence.partition(": ")
-        groups.setdefault(invariant, []).append(f"{trial}: {what}")
-    return groups
+    return counts, broken
 
 
 if __name__ == "__main__":

@@ -149,19 +149,8 @@ class Trial(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """The result of a trial.
+    """`ready`: whether the board is ready at the end; `broken`: sentences on broken invariants."""
 
-    Attributes:
-        started: number of changes of pins by START of the master.
-        energised: number of changes that energised a coil or a foreign output without a command, except by another
-            program, by the supply, or as `on_loss` says.
-        moved: number of changes by the master of pins that hold on loss.
-        broken: sentences on broken invariants, also those of `started` and `energised`.
-    """
-
-    started: int
-    energised: int
-    moved: int
     ready: bool
     broken: tuple[str, ...]
 
@@ -292,7 +281,7 @@ def _verdict(bench: Bench, holding: int, ready: bool, broken: list[str]) -> Verd
     broken += [f"pins came on: {change}" for change in energised if change not in started]
     if ready and bench.master.outputs != bench.lines:
         broken.append(f"the master is wrong on the pins: it believes {bench.master.outputs:b}, not {bench.lines:b}")
-    return Verdict(len(started), len(energised), len(moved), ready, tuple(broken))
+    return Verdict(ready, tuple(broken))
 
 
 def _reverts(before: PinChange | None, change: PinChange) -> bool:
