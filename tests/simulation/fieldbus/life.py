@@ -87,10 +87,14 @@ class Life(Site):
             self.tick()
 
     def start_trouble_boot(self) -> None:
-        """Begins a boot that nobody judges but for pins."""
-        self.stage, self._asked = False, dict(self._pins)
+        """Begins a boot that nobody judges but for pins. An executor that stands still goes on with its command."""
         if not self.stalled and self.running is not None:
+            self.ask_for_nothing()
             self.call(lambda m: m.boot(self.now))
+
+    def ask_for_nothing(self) -> None:
+        """The last command has ended, or was given up: from now on its states are no cause of a switch."""
+        self.stage, self._asked = False, dict(self._pins)
 
     def at_rest(self) -> bool:
         """Whether an executor runs, and no boot is under way."""
@@ -260,8 +264,9 @@ class Life(Site):
             require(stage or not (changed & ~ends | rises & ends & ~board.off) & late, f"{text} of a release")
             require(not self.calm or not changed & ~board.used, f"{text}; {board.used:b} are used")
         require(not (self.ready and self.calm) or cause in ("SYNC", "RPDO"), text)
-        pairs = [pair for pair in board.pairs if all(after >> bit & 1 ^ board.off >> bit & 1 for bit in pair)]
-        require(not pairs or cause in (TOOL, "foreign", "fault"), f"{text}: both of {pairs} are on")
+        on, came = after ^ board.off, changed & (after ^ board.off)
+        pairs = [(a, b) for a, b in board.pairs if on >> a & on >> b & (came >> a | came >> b) & 1]
+        require(not pairs or cause in (TOOL, "foreign", "fault"), f"{text}: one of {pairs} comes on beside the other")
 
     def to_master(self, event: Event) -> None:
         if isinstance(event, FrameEchoed):

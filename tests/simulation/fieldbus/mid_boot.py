@@ -140,7 +140,7 @@ def _fault(arm: UsedArm, name: str, deck: Deck) -> None:
 
     def happen() -> str:
         struck.append(fault)
-        arm.agenda.after(1e-6, fault.begin)
+        arm.agenda.after(1e-6, lambda: struck and fault.begin())
         if not (fault.told is not None and fault.told.clears and row.strikes == "bus"):
             arm.agenda.after(1e-6 + arm.random.uniform(0.0, row.longest), lambda: struck and fault.end())
         return ""

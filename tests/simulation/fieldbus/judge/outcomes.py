@@ -79,19 +79,17 @@ class Outcome(NamedTuple):
         refusals: reasons; empty: it must become ready.
         limits: main words of its warnings.
         outputs: what the object of its outputs must be by sub-index.
-        written_off: whether outputs were written that were on.
     """
 
     refusals: list[Refusal]
     limits: frozenset[str]
     outputs: dict[int, int]
-    written_off: bool
 
 
 def outcome_of(board: JudgedBoard, found: Found, needs: Values, masks: Values) -> Outcome:
     """Returns what must become of a board."""
     if found.state is None or (found.state == STOPPED and not found.tells):
-        return Outcome([Refusal("board-missing", ("neither booted nor answered",))], frozenset(), {}, False)
+        return Outcome([Refusal("board-missing", ("neither booted nor answered",))], frozenset(), {})
     refusals: list[Refusal] = []
     limits: set[str] = set()
     for reason in (_identity, _type, _supervision, _error_mode, _behaviour, _errors, _pdos):
@@ -103,8 +101,7 @@ def outcome_of(board: JudgedBoard, found: Found, needs: Values, masks: Values) -
         if differs and (index in found.deaf or (index, sub) not in found.writable):
             refusals.append(Refusal("sdo-refused", (f"{index:04X}h sub {sub}",)))
     refusals += [Refusal("sdo-refused", (f"{i:04X}h sub {sub}", words)) for (i, sub), words in found.refused.items()]
-    outputs, written_off = settled(board, found)
-    return Outcome(refusals, frozenset(limits), outputs, written_off)
+    return Outcome(refusals, frozenset(limits), settled(board, found))
 
 
 def _identity(board: JudgedBoard, found: Found, refusals: list[Refusal], limits: set[str]) -> None:
@@ -210,10 +207,9 @@ def _pdos(board: JudgedBoard, found: Found, refusals: list[Refusal], limits: set
             refusals.append(Refusal("wrong-device", ("both could be on between two frames",)))
 
 
-def settled(board: JudgedBoard, found: Found) -> tuple[dict[int, int], bool]:
-    """Returns the object of the outputs before START by sub-index, and whether outputs were on and written off."""
+def settled(board: JudgedBoard, found: Found) -> dict[int, int]:
+    """Returns the object of the outputs before START, by sub-index."""
     outputs: dict[int, int] = {}
-    written = False
     for sub in range(1, 1 + found.byte(board.base, 0)):
         present = outputs[sub] = found.byte(board.base, sub)
         used = board.used >> 8 * (sub - 1) & 0xFF
@@ -229,5 +225,4 @@ def settled(board: JudgedBoard, found: Found) -> tuple[dict[int, int], bool]:
         known = found.state == STOPPED and told and found.has(0x6207, 1)
         level = value if known else board.off >> 8 * (sub - 1) & 0xFF
         outputs[sub] = present & ~unsure | level & unsure
-        written |= outputs[sub] != present
-    return outputs, written
+    return outputs
