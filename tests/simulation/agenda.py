@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Callable
+
+
+class StepsAreOver(BaseException):
+    """A world has run all its steps. Nothing between the world and its agenda may catch it."""
 
 
 class Agenda:
@@ -12,11 +17,13 @@ class Agenda:
     Attributes:
         now: time [s].
         steps: number of events so far.
+        end: number of events after which the next one raises `StepsAreOver`.
     """
 
     def __init__(self) -> None:
         self.now = 1000.0
         self.steps = 0
+        self.end = math.inf
         self._entries: list[tuple[float, int, Callable[[], object]]] = []
         self._number = 0
 
@@ -48,6 +55,8 @@ class Agenda:
         return self.now - begun
 
     def step(self) -> None:
+        if self.steps >= self.end:
+            raise StepsAreOver
         self.now, _, happen = heapq.heappop(self._entries)
         self.steps += 1
         happen()

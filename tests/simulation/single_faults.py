@@ -12,6 +12,7 @@ from tests.simulation.faults.fault import Deck, Fault, Row, Told
 from tests.simulation.faults.table import rows
 from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.statements.arm import bits_of
+from tests.simulation.statements.objects import Values
 from tests.simulation.verdict import require
 
 if TYPE_CHECKING:
@@ -26,8 +27,6 @@ ANSWERED = 0.1  # [s] until a reset is answered
 HOMED = 0.7  # share of the faults before which a program homes the arm
 OWED = 4.2  # [s] for which lost answers may still come, and reads take so long that pulses may be over before
 RESTARTED = 15.0  # [s] until an executor that was ended has contracted the arm, and the next one is ready
-LIVE = frozenset({0x1001, 0x1002, 0x1003, 0x6000})  # objects that a board changes by itself
-Values = dict[tuple[int, int], int]
 STANDING = frozenset({"board-limits", "outputs-off", "degraded", "unknown-position"})
 WARNINGS = STANDING | {"bus-passive", "journal"}
 
@@ -201,7 +200,7 @@ class SingleFaults:
         def begin() -> None:
             fault.begin()
             world.boards.see("fault")
-            found.update(self._values())
+            found.update({board: world.sight.found(board).values for board in world.boards.names})
 
         world.executor.at_next_start(begin)
         world.executor.kill()
@@ -220,23 +219,10 @@ class SingleFaults:
             world.let_be_found(board)
         planner.patient = told.clears or not told.codes
         world.wait(world.settled, f"ready after {name}", world.ready_within)
-        for board, values in self._values().items():
+        for board, values in found.items():
             world.objects.judge(board)
             if not told.codes:
-                world.objects.judge_kept(board, found[board], values)
-
-    def _values(self) -> dict[str, Values]:
-        """Returns the objects of each board that it does not change by itself."""
-        boards = {name: self._world.boards.simulated.board(name).objects for name in self._world.boards.names}
-        return {
-            name: {
-                (index, sub): int.from_bytes(objects.value(index, sub), "little")
-                for index, entries in objects.described.items()
-                for sub in entries
-                if index not in LIVE
-            }
-            for name, objects in boards.items()
-        }
+                world.objects.judge_kept(board, values, world.sight.found(board).values)
 
     # --- drills
 

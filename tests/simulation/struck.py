@@ -14,6 +14,7 @@ from tests.simulation.buses.board_side import BoardSide
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.faults.fault import Fault, Switch, Told
 from tests.simulation.faults.motion import ASKED
+from tests.simulation.faults.sight import Sight
 from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.objects import BoardObjects
@@ -41,6 +42,7 @@ class StruckWorld:
     daemon: Daemon | None
     account: Account
     objects: BoardObjects
+    sight: Sight
     _random: Random
 
     def settled(self) -> bool:
@@ -100,7 +102,7 @@ class StruckWorld:
         k = self._random.choice(fit)
         late = max(self.kinds.travel[k]) + self.kinds.margin[k] + self.arm.rest + ASKED
         also = ("stuck", "unexpected-motion") if arm.sensed >> k & 1 else ()
-        place = self.objects.base(name), channels[k].output // 8 + 1
+        place = self.sight.wiring.boards[name].base, channels[k].output // 8 + 1
         return Switch(lambda: self.planner.ask_to_switch(k), place, late, channels[k].actuator, also)
 
     def flip_of(self, name: str) -> Fault | None:

@@ -10,7 +10,7 @@ from random import Random
 from hyperbit.controller.executor.arm.kinds import Kinds
 from hyperbit.controller.program import unpack
 from hyperbit.drivers.canopen.wire.cia301 import Frame
-from tests.simulation.agenda import Agenda
+from tests.simulation.agenda import Agenda, StepsAreOver
 from tests.simulation.buses.board_side import BoardSide
 from tests.simulation.buses.bus_model import BusModel, OnItsWay
 from tests.simulation.calm import check_daemon, run_a_goal, run_a_program
@@ -44,10 +44,6 @@ PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all t
 
 
 ECHO_LOST = 0.05  # [s] after which the executor knows that an echo was lost
-
-
-class StepsAreOver(BaseException):
-    """A world has run all its steps. Nothing between the world and its agenda may catch it."""
 
 
 class World(StruckWorld):
@@ -114,13 +110,13 @@ class World(StruckWorld):
         self.sight = Sight(arm.wiring, arm.timing, self.boards, variants)
         self.trouble = Trouble(self, drawn("trouble"), seed)
         self.single_faults = SingleFaults(self, drawn("single faults"), seed)
-        self._random, self._end = drawn("periods"), math.inf
+        self._random = drawn("periods")
         self._peaceful = whole and drawn("peace").random() < PEACEFUL
         self.executor.start()
 
     def run(self, steps: int) -> None:
         """Runs `steps` steps: the arm becomes ready, then come rounds of requests, faults and trouble."""
-        self._end = self.agenda.steps + steps
+        self.agenda.end = self.agenda.steps + steps
         try:
             self.calm()
             while True:
@@ -129,7 +125,7 @@ class World(StruckWorld):
                 else:
                     self._whole_round()
         except StepsAreOver:
-            self._end = math.inf
+            self.agenda.end = math.inf
 
     def _scripted_round(self, kind: str) -> None:
         self._let_strangers_stop(kind != "one fault")
@@ -161,8 +157,6 @@ class World(StruckWorld):
 
     def one_step(self) -> None:
         """Runs the next event, and judges it."""
-        if self.agenda.steps >= self._end:
-            raise StepsAreOver
         self.agenda.step()
         self.record.doubt(self.intended)
         self.account.steps()

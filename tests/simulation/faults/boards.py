@@ -220,7 +220,7 @@ def inputs_are_long(at: Place) -> Fault | None:
 
 def _tpdo(at: Place) -> Frame | None:
     """Returns a TPDO that the executor takes, with the present inputs."""
-    wanted = [pdo.cob_id for pdo in at.judged.tpdos]
+    wanted = at.judged.tpdos
     for index in (index for index in range(0x1800, 0x1820) if at.objects.has(index)):
         if (cob_id := at.objects.number(index, 1) & 0x8000_07FF) in wanted:
             mapped = at.objects.mapping(index)
@@ -248,5 +248,5 @@ def TPDOs_are_lost(at: Place) -> Fault | None:
         at.bus.tpdos_to_lose = 0
         flip.end()
 
-    within = flip.told.within if asks else flip.told.within + at.sight.watching.inputs_every(at.name) + 0.5
+    within = flip.told.within if asks else flip.told.within + at.sight.inputs_every(at.name) + 0.5
     return flip._replace(begin=begin, end=end, told=flip.told._replace(within=within, least=0.0))

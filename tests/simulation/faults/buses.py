@@ -103,7 +103,7 @@ def frames_are_overrun(at: Place) -> Fault:
 def another_master_sends(at: Place) -> Fault:
     frames = {"SYNC": Frame(cia301.SYNC), "NMT": Frame(cia301.NMT, b"\x01\x00"), "heartbeat": Frame(0x77F, b"\x05")}
     if at.judged.rpdos:
-        frames["an RPDO"] = Frame(at.judged.rpdos[0].cob_id, bytes(8))
+        frames["an RPDO"] = Frame(at.judged.rpdos[0], bytes(8))
     what = at.random.choice(list(frames))
     words = (what, f"frame {frames[what].id:03X}h", "only one may switch")
     return Fault(at.post(frames[what]), told=Told(("foreign-master",), (at.bus.name,), words, AT_ONCE))

@@ -11,7 +11,7 @@ from dataclasses import replace
 from hyperbit.drivers.canopen.wire.cia301 import Command, State
 from tests.simulation.faults.fault import NOTHING, Fault, Maker, Place, Told, row
 from tests.simulation.faults.reads import HARDWARE_ERROR
-from tests.simulation.fieldbus.judge.wires import bytes_of
+from tests.simulation.statements.boards import bytes_of
 
 MASTER, OUTPUTS = 127, 0x6200
 BUSY, BUSY_FOR = 0x0800_0022, 0.2  # abort code of a board that cannot answer now, and for how long [s]

@@ -6,7 +6,7 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.faults.fault import AT_ONCE, Fault, Place, Told, row
 from tests.simulation.faults.sight import Bits
-from tests.simulation.fieldbus.judge.wires import bytes_of
+from tests.simulation.statements.boards import bytes_of
 
 LONGEST_TURN = 6.0  # [s] that is worth waiting for
 READ_BACK = 2.0  # [s] from a switch until outputs that do not follow are told: about a second, and eight reads
@@ -75,7 +75,8 @@ def error_for_a_moment(at: Place) -> Fault | None:
 @row("board")
 def new_error_among_kept_ones(at: Place) -> Fault | None:
     """An error that a board keeps from before is known; only a new entry of its history tells another one."""
-    if at.turn > LONGEST_TURN or not (at.board.variant.keeps_loss and at.objects.number(REGISTER)):
+    kept = at.board.variant.keeps_loss and at.objects.number(REGISTER) and at.objects.has(HISTORY)
+    if at.turn > LONGEST_TURN or not kept:
         return None
 
     def end() -> None:

@@ -9,8 +9,8 @@ from typing import NamedTuple
 from hyperbit.drivers.canopen.faults import Busy
 from tests.simulation.buses.bus_model import BusModel
 from tests.simulation.faults.fault import Fault, Maker, Place, Row, Told
-from tests.simulation.fieldbus.judge.wires import bits_in
 from tests.simulation.fieldbus.use import COMMITTED, UsedArm
+from tests.simulation.statements.boards import bits_in
 from tests.simulation.verdict import require
 
 AT_ONCE = 0.05  # [s] until a failure is told
@@ -33,6 +33,12 @@ class Command(NamedTuple):
     def send(self) -> None:
         self.arm.commit(self.states)
 
+    def give_up(self) -> int:
+        """Gives it up; returns the lines that still switch, as told."""
+        if self.arm.master.committing:
+            self.arm.master.give_up(WHY)
+        return self.arm.master.leaving
+
     def refused(self, states: int, why: type[Exception] = Busy) -> str:
         try:
             self.arm.commit(states)
@@ -42,7 +48,16 @@ class Command(NamedTuple):
         return ""
 
     def over(self) -> None:
-        self.arm.wait(lambda: not self.arm.master.committing, COMMITTED + self.arm.watching.slack, "over")
+        self.arm.wait(lambda: not self.arm.master.committing, COMMITTED + self.arm.sight.slack, "over")
+
+    def judge(self, switched: int) -> None:
+        """Requires that these lines have switched, and no others, and that the master tells this."""
+        self.over()
+        master, driven = self.arm.master, self.arm.driven()
+        require(driven == self.before ^ switched, f"the pins are {driven:b}; {switched:b} of {self} switches")
+        require(master.outputs == driven, f"outputs {master.outputs:b} are told; {driven:b} are driven")
+        told = sum(mask for mask, _ in master.drain_switched())
+        require(told == switched, f"{told:b} is told as switched, {switched:b} has")
 
 
 class Disturbance(NamedTuple):
@@ -50,21 +65,20 @@ class Disturbance(NamedTuple):
 
     Attributes:
         happen: sends the command, and disturbs it; returns the lines that switch nevertheless.
-        fails: words of the failure that is told; None: it is not judged; "": it has not failed.
+        fails: whether a failure is told; None: it is not judged.
         waits: whether all boards must switch with SYNC.
     """
 
     happen: Callable[[Command], int]
-    fails: str | None = ""
+    fails: bool | None = False
     waits: bool = True
 
 
 def _give_up(command: Command) -> int:
     command.send()
-    master = command.arm.master
-    require(master.committing and master.collecting, "a command has begun, and is not told")
-    master.give_up(WHY)
-    require(not master.committing, "a command was given up, and is told")
+    require(command.arm.master.collecting, "a command has begun, and is not told")
+    command.give_up()
+    require(not command.arm.master.committing, "a command was given up, and is told")
     return 0
 
 
@@ -72,29 +86,28 @@ def _give_up_too_late(command: Command) -> int:
     command.send()
     arm, master = command.arm, command.arm.master
     arm.wait(lambda: not master.collecting, 0.1, "past its RPDOs")
-    require(master.leaving == command.changed, f"{master.leaving:b} are leaving, {command.changed:b} change")
     require(not master.outputs_known, "outputs are known while SYNCs leave")
-    master.give_up(WHY)
-    return command.changed
+    leaving = command.give_up()
+    require(leaving == command.changed, f"{leaving:b} are leaving, {command.changed:b} change")
+    return leaving
 
 
 def _give_up_at_once(command: Command) -> int:
     """Boards without SYNC still switch when their frames leave, all others hold."""
     arm, leaving = command.arm, 0
     for name, board in arm.judged.boards.items():
-        at_once = sum(bits_in(part.mapping, board.base) for part in arm.switching.parts_of(name) if not part.waits)
-        leaving |= sum(wire.line for wire in board.outputs if at_once >> wire.bit & 1) & command.changed
+        if not arm.waits(name):
+            bits = sum(bits_in(arm.looks[name].mapping(index), board.base) for index in arm.rpdos(name))
+            leaving |= sum(wire.line for wire in board.outputs if bits >> wire.bit & 1) & command.changed
     command.send()
-    if arm.master.committing:
-        arm.master.give_up(WHY)
-        require(arm.master.leaving == leaving, f"{arm.master.leaving:b} are leaving, {leaving:b} are commanded")
+    told = command.give_up()
+    require(told == leaving, f"{told:b} are leaving, {leaving:b} are commanded")
     return leaving
 
 
 def _command_again(command: Command) -> int:
     command.send()
-    why = command.refused(command.before)
-    require("previous commit" in why, f"a second command is refused by {why!r}")
+    command.refused(command.before)
     return command.changed
 
 
@@ -103,7 +116,7 @@ def _command_while_an_older_frame_waits(command: Command) -> int:
     for bus in command.buses:
         bus.stuck = True
     command.send()
-    command.arm.master.give_up(WHY)
+    command.give_up()
     command.refused(command.arm.possible(command.before ^ (command.changed & -command.changed)))
     for bus in command.buses:
         bus.restore()
@@ -124,20 +137,19 @@ def _command_lines_that_are_not_there(command: Command) -> int:
 
 
 def _command_the_present_states(command: Command) -> int:
-    arm = command.arm
-    sent = arm.handed_out
+    arm, sent = command.arm, command.arm.handed_out
     arm.commit(command.before)
     require(not arm.master.committing and arm.handed_out == sent, "a command that changes nothing sends frames")
     return 0
 
 
 DISTURBANCES = {
-    "command is given up": Disturbance(_give_up, WHY),
+    "command is given up": Disturbance(_give_up, True),
     "command is given up after its SYNC": Disturbance(_give_up_too_late),
     "command is given up that waits for no SYNC": Disturbance(_give_up_at_once, None, waits=False),
     "command during a command": Disturbance(_command_again, waits=False),
     "command while an older frame waits": Disturbance(_command_while_an_older_frame_waits, None),
-    "RPDO is not sent": Disturbance(_lose_RPDO, "was not sent"),
+    "RPDO is not sent": Disturbance(_lose_RPDO, True),
     "command of lines that are not there": Disturbance(_command_lines_that_are_not_there, waits=False),
     "command of the present states": Disturbance(_command_the_present_states, waits=False),
 }
@@ -145,8 +157,8 @@ DISTURBANCES = {
 
 def _command(at: Place, needs_sync: bool = True) -> Command | None:
     arm = at.world
-    before, states = arm.switching.states, arm.drawn_states()
-    buses = [bus for bus in arm.buses.values() if arm.switching.lines_on(bus.name) & (before ^ states)]
+    before, states = arm.driven(), arm.drawn_states()
+    buses = [bus for bus in arm.buses.values() if arm.lines_on(bus.name) & (before ^ states)]
     if not buses or before & arm.judged.pulsed or (needs_sync and not all(map(arm.waits, arm.looks))):
         return None
     return Command(arm, before, states, buses)
@@ -154,33 +166,24 @@ def _command(at: Place, needs_sync: bool = True) -> Command | None:
 
 def _disturbed(disturbance: Disturbance, at: Place) -> Fault | None:
     command, arm = _command(at, disturbance.waits), at.world
-    split = arm.wiring.shared_rpdo or any(len(arm.switching.parts_of(name)) > 1 for name in arm.looks)
+    split = arm.wiring.shared_rpdo or any(len(arm.rpdos(name)) > 1 for name in arm.looks)
     if command is None or (disturbance.happen is _give_up_at_once and (split or all(map(arm.waits, arm.looks)))):
         return None
 
     def begin() -> None:
-        switched = disturbance.happen(command)
-        command.over()
-        failed, driven = arm.master.commit_failed, arm.switching.driven()
-        require(driven == command.before ^ switched, f"the pins are {driven:b}; {switched:b} of {command} switches")
-        require(arm.master.outputs == driven, f"outputs {arm.master.outputs:b} are told; {driven:b} are driven")
-        wanted = disturbance.fails
-        right = wanted is None or (failed is None if wanted == "" else wanted in (failed or ""))
-        require(right, f"the failure is {failed!r}; {wanted!r} is due")
-        told = sum(mask for mask, _ in arm.master.drain_switched())
-        require(told == switched, f"{told:b} is told as switched, {switched:b} has")
-        arm.switching.booted()  # what the boards have latched, nobody knows
+        command.judge(disturbance.happen(command))
+        failed = arm.master.commit_failed
+        require(disturbance.fails in (None, failed is not None), f"the failure of {command} is {failed!r}")
 
     def check() -> None:
         """The next command switches."""
-        before, states = arm.switching.driven(), arm.random.choice([command.states, arm.drawn_states()])
-        if before != states:
-            arm.commit(states)
-            command.over()
-            told = sum(mask for mask, _ in arm.master.drain_switched())
-            right = arm.switching.driven() == states and arm.master.commit_failed is None
-            require(right, f"the pins are {arm.switching.driven():b} after {command}: {arm.master.commit_failed}")
-            require(told == before ^ states, f"{told:b} is told as switched")
+        following = command._replace(
+            before=arm.driven(), states=arm.random.choice([command.states, arm.drawn_states()])
+        )
+        if following.changed:
+            following.send()
+            following.judge(following.changed)
+            require(arm.master.commit_failed is None, f"{following} after {command} fails: {arm.master.commit_failed}")
         arm.forget()
 
     return Fault(begin, arm.release_quietly, Told(within=AT_ONCE, beats=disturbance.happen is not _lose_RPDO), check)
@@ -191,19 +194,17 @@ def frames_stay_in_the_controller(at: Place) -> Fault | None:
     late = timing.heartbeat_timeout / 2 + 0.03
     if command is None or late + AT_ONCE > timing.heartbeat_timeout - timing.heartbeat:
         return None  # the boards would lose the master before
-    arm, bus = command.arm, at.random.choice(command.buses)
+    bus = at.random.choice(command.buses)
 
     def begin() -> None:
         bus.stuck = True
         command.send()
 
     def check() -> None:
-        failed, driven = arm.master.commit_failed or "", arm.switching.driven()
-        require(driven == command.before == arm.master.outputs, f"the pins are {driven:b} after {command}")
-        require("were not sent for" in failed or f"{bus.name} was lost" in failed, f"the failure is {failed!r}")
-        require(not arm.master.drain_switched(), "switches of a command that has failed are told")
+        command.judge(0)
+        require(command.arm.master.commit_failed, "a command has failed, and nothing is told")
 
-    lost = tuple(name for name, board in arm.judged.boards.items() if board.bus == bus.name)
+    lost = tuple(name for name, board in command.arm.judged.boards.items() if board.bus == bus.name)
     return Fault(begin, bus.restore, Told(within=late, also=("bus-busy",), lost=lost, beats=False), check)
 
 
@@ -212,7 +213,7 @@ def bus_is_lost_with_a_SYNC(at: Place) -> Fault | None:
     if command is None:
         return None
     arm, bus = command.arm, at.random.choice(command.buses)
-    doubtful = arm.switching.lines_on(bus.name) & command.changed
+    doubtful = arm.lines_on(bus.name) & command.changed
 
     def begin() -> None:
         bus.at_next_sync(lambda: at.after(0.0, bus.go_down))
@@ -220,14 +221,11 @@ def bus_is_lost_with_a_SYNC(at: Place) -> Fault | None:
         arm.wait(lambda: bus.state == "down", 0.2, "down")
 
     def check() -> None:
-        failed = arm.master.commit_failed or ""
-        require("was lost while its SYNC" in failed, f"the failure is {failed!r}")
+        require(arm.master.commit_failed, "a command has failed, and nothing is told")
         told = arm.master.doubtful
         require(told == doubtful, f"{told:b} are doubtful, {doubtful:b} may have switched")
-        require(not arm.master.outputs_known, "outputs are known, and a SYNC was lost")
         command.over()
-        why = command.refused(command.states)
-        require(bus.name in why, f"a command on a lost bus is refused by {why!r}")
+        require(bus.name in command.refused(command.states), f"a command is refused, and not for {bus.name}")
 
     lost = tuple(name for name, board in arm.judged.boards.items() if board.bus == bus.name)
     return Fault(begin, bus.restore, Told(("bus-down",), (bus.name,), (), AT_ONCE, lost=lost, beats=False), check)
@@ -237,8 +235,8 @@ def _release(arm: UsedArm, off: int) -> None:
     """Switches lines off while a board is lost: no frame changes another pin."""
     arm.ask_for_nothing()
     arm.commit(~off & arm.judged.lines, release=True)
-    arm.wait(lambda: not arm.moves(), COMMITTED + arm.watching.slack, "released")
-    require(not arm.switching.driven() & off, f"{off:b} is not switched off beside a lost board")
+    arm.wait(lambda: not arm.moves(), COMMITTED + arm.sight.slack, "released")
+    require(not arm.driven() & off, f"{off:b} is not switched off beside a lost board")
 
 
 def command_without_a_board(at: Place) -> Fault | None:
@@ -248,8 +246,7 @@ def command_without_a_board(at: Place) -> Fault | None:
         return None
 
     def check() -> None:
-        why = command.refused(command.before ^ 1)
-        require(at.name in why and "not ready" in why, f"a command without {at.name} is refused by {why!r}")
+        require(at.name in command.refused(command.before ^ 1), f"a command is refused, and not for {at.name}")
         others = [b for name, b in arm.judged.boards.items() if name != at.name and b.lines & arm.master.outputs]
         if others and all(map(arm.waits, arm.looks)):
             _release(arm, others[0].lines & arm.master.outputs)
@@ -269,7 +266,7 @@ def release_beside_a_board_that_only_hears(at: Place) -> Fault | None:
 
     def begin() -> None:
         command.send()
-        arm.master.give_up(WHY)
+        command.give_up()
         arm.pass_time(AT_ONCE)
         sends = (0x080, 0x580, 0x700, *range(0x180, 0x580, 0x100))
         at.bus.intercept = lambda frame: "lose" if frame.id - at.node in sends else ""
@@ -280,7 +277,7 @@ def release_beside_a_board_that_only_hears(at: Place) -> Fault | None:
 
 def pulses_are_too_short(at: Place) -> Fault | None:
     """Pulses end before their outputs are read: each is missed, and the third in a row is a fault."""
-    arm, before = at.world, at.world.switching.states
+    arm, before = at.world, at.world.driven()
     blind = [wire.line for wire in at.judged.outputs if wire.line & arm.judged.pulsed & at.judged.unsensed]
     if not blind or before & arm.judged.pulsed or at.board.variant.answer_delay or not all(map(arm.waits, arm.looks)):
         return None

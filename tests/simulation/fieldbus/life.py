@@ -6,17 +6,20 @@ from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from random import Random
+from typing import Any
 
-from hyperbit.drivers.canopen.wire.cia301 import Frame, State
+from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import Event, FrameEchoed
 from tests.simulation.agenda import Agenda
+from tests.simulation.facts import Switch
 from tests.simulation.faults.fault import Deck, Fault, Told
-from tests.simulation.faults.left import BUSY_FOR
 from tests.simulation.fieldbus.arms import Drawn
-from tests.simulation.fieldbus.judge.boots import Boots
-from tests.simulation.fieldbus.judge.outcomes import Found
-from tests.simulation.fieldbus.judge.switching import SYNC, Switching
-from tests.simulation.fieldbus.site import TOOL, Site
+from tests.simulation.fieldbus.boots import BootsAreSound
+from tests.simulation.fieldbus.site import Site
+from tests.simulation.fieldbus.statements import EVERY
+from tests.simulation.statements.objects import BoardObjects
+from tests.simulation.statements.pins import NoStartChangesAPin
+from tests.simulation.statements.statement import Statements
 from tests.simulation.verdict import Violation, require
 
 LONGEST_BOOT = 25.0  # [s] with repeated requests
@@ -28,12 +31,21 @@ READS_INPUTS = b"\x00\x60"  # index of the inputs in an SDO frame
 
 
 class Life(Site):
-    """One arm.
+    """One arm, and the account of its pins and frames for the statements.
+
+    pins(name, before, after, cause, of_command): pins of a board change; `switches` tells the same of all boards.
+    sends(bus, frame), leaves(bus, frame, missing): the master hands out a frame; its echo comes.
+    begins(), readies(): a time without trouble begins; all boards are ready.
+    commands(), switched(changed), tells(): a command begins; it is over; all that is told must be true now.
+    ticks(): the master was called.
 
     Attributes:
         ready: whether all boards are ready, and nothing disturbs them.
-        calm: whether the master's heartbeats and reads must be in time.
-        found: the boards as the last boot found them.
+        calm: whether nothing disturbs the master.
+        releases: whether pulses are ended at each tick.
+        asked: pins after the last command, by board.
+        released: mask of the lines that the last release switches off.
+        moved_at: when pins of each board changed last [s].
         left: ends what is left on boards while no executor runs.
     """
 
@@ -43,16 +55,29 @@ class Life(Site):
         self.note, self._pins, self.handed_out = note, dict[str, int](), 0
         super().__init__(drawn.wiring, drawn.timing, drawn.variants, agenda, random)
         self.drawn, self.random, self.made = drawn, random, Counter[str]()
-        self.judged, self.looks, self.watching = self.sight.wiring, self.sight.looks, self.sight.watching
-        self.boots, self.switching = Boots(self.judged, self.looks), Switching(self.judged, self.looks)
-        self.found: dict[str, Found] = {}
+        self.judged, self.looks, self.world = self.sight.wiring, self.sight.looks, self
+        account: Any = self
+        self.objects, self.boots = BoardObjects(account), BootsAreSound(self)
+        self.statements = Statements(
+            [self.objects, self.boots, NoStartChangesAPin(account), *(statement(self) for statement in EVERY)]
+        )
         self.left: list[Callable[[], object]] = []
         self.calm = self.ready = self.releases = False
         self._deck = left
         self._undo: Callable[[], None] | None = None  # the change of an input
         self._pins = {name: look.pins() for name, look in self.looks.items()}
-        self._asked = dict(self._pins)  # pins after the last command
-        self._released = 0  # mask of the lines that the last release switches off
+        self.asked, self.released, self.moved_at = dict(self._pins), 0, dict.fromkeys(self._pins, 0.0)
+
+    def see(self, kind: str, *facts: object) -> None:
+        self.statements.see(kind, facts)
+
+    def driven(self) -> int:
+        """Returns the mask of the output lines that are on."""
+        return sum(board.driven(self.looks[name].pins()) for name, board in self.judged.boards.items())
+
+    def ends(self) -> int:
+        """Returns the mask of the input lines that are 1."""
+        return sum(board.read(self.looks[name].inputs()) for name, board in self.judged.boards.items())
 
     # --- boots
 
@@ -70,16 +95,15 @@ class Life(Site):
             for bus in self.buses.values():
                 bus.drop()
             self.pass_time(IN_FLIGHT)
-            if any(self.watching.guarded(name) for name in self.looks):  # else they fall in the middle of the boot
+            if any(self.sight.guarded(name) for name in self.looks):  # else they fall in the middle of the boot
                 self.lose_master(0.0)
         self.undo_flip()
-        self.found = {name: self.sight.found(name, not new) for name in self.looks}
-        self.note(("boot", new, {name: (found.state, found.errors) for name, found in self.found.items()}))
-        self.calm, self.ready, self.stage = True, False, False
-        self.watching.restart(self.now)
-        self.boots.allowance = sum(self._slowness(name, found) for name, found in self.found.items())
-        self.boots.begin(self.found)
-        self._began, self._asked = self.now, dict(self._pins)
+        found = {name: self.sight.found(name, not new) for name in self.looks}
+        self.note(("boot", new, {name: (one.state, one.errors) for name, one in found.items()}))
+        self.calm, self.ready = True, False
+        self.ask_for_nothing()
+        self.see("begins")
+        self.boots.begin(found)
         if new:
             self.start_master()
         self.call(lambda m: m.boot(self.now))
@@ -94,7 +118,7 @@ class Life(Site):
 
     def ask_for_nothing(self) -> None:
         """The last command has ended, or was given up: from now on its states are no cause of a switch."""
-        self.stage, self._asked = False, dict(self._pins)
+        self.stage, self.asked = False, dict(self._pins)
 
     def at_rest(self) -> bool:
         """Whether an executor runs, and no boot is under way."""
@@ -102,31 +126,20 @@ class Life(Site):
 
     def finish_boot(self) -> None:
         self.wait(lambda: not self.master.booting, LONGEST_BOOT, "booted")
-        master = self.master
-        faults, warnings = master.boot_faults, list(master.warnings())
-        self.boots.end(faults, warnings, master.outputs_known, self.now - self._began, self.timing)
-        self.boots.repeats = 0
+        master, faults = self.master, self.master.boot_faults
         self.made["boot: refused" if faults else "boot: ready"] += 1
         for fault in faults:
-            self.made[f"boot: {fault.code} {fault.message.split(' ', 2)[2][:50]}"] += 1
+            self.made[f"boot: {fault.code}"] += 1
+        self.boots.end(faults, list(master.warnings()), master.outputs_known)
         master.drain_missed()  # of pulses that trouble has ended
         late = master.drain_faults()
         require(not late, f"faults are told twice: {late}")
         self.calm = self.ready = master.outputs_known
         if self.ready:
-            self.switching.booted()
-            self.watching.ready(self.now)
+            self.see("readies")
             split = {name for name, variant in self.drawn.names.items() if variant in SPLIT}
             self.boots.left = {name: self.sight.found(name).values for name in self.looks.keys() - split}
             self.settle()
-
-    def _slowness(self, name: str, found: Found) -> float:
-        """Returns how much longer a boot may take [s]."""
-        variant, state = self.board(name).variant, self.board(name).state
-        slow = 160 * variant.answer_delay + min(2 * found.byte(0x1017, 0) / 1000, 1.0) + 0.7 * (state is None)
-        slow += 0.5 * bool(found.errors) + 0.7 * (found.state in (None, State.STOPPED))
-        busy = bool(self.board(name).objects.refused) and not found.refused
-        return slow + 2 * self.timing.heartbeat * (found.state != State.OPERATIONAL) + busy * (BUSY_FOR + 0.2)
 
     def die(self) -> None:
         """The executor ends; perhaps the boards notice."""
@@ -163,8 +176,7 @@ class Life(Site):
     def settle(self) -> None:
         """Waits until inputs have come, and judges what is told."""
         self.pass_time(SETTLED)
-        self.watching.now = self.now
-        self.watching.judge_told(self.master, self.switching.states)
+        self.see("tells")
         self.undo_flip()
 
     def flip_of(self, name: str) -> Fault | None:
@@ -177,13 +189,11 @@ class Life(Site):
         if not flips or self.board(name).variant.pads:  # padding is warned of as the TPDO comes
             return None
         verb, undo, label = self.random.choice(flips)
-        told = Told(within=0.1 + self.watching.slack)
         do = partial(self.boards.fault, verb, label), partial(self.boards.fault, undo, label)
-        return Fault(*do, told, lambda: self._judge_inputs(name))
+        return Fault(*do, Told(within=0.1 + self.sight.slack), self._judge_inputs)
 
-    def _judge_inputs(self, name: str) -> None:
-        ends = sum(board.read(self.looks[other].inputs()) for other, board in self.judged.boards.items())
-        require(self.master.ends == ends, f"inputs {self.master.ends:b} are told; they are {ends:b}")
+    def _judge_inputs(self) -> None:
+        require(self.master.ends == self.ends(), f"inputs {self.master.ends:b} are told; they are {self.ends():b}")
 
     def flip_input(self, name: str) -> None:
         """Changes an input of a board within a moment, until `undo_flip`."""
@@ -202,18 +212,15 @@ class Life(Site):
     def hands_out(self, bus: str, frame: Frame) -> None:
         self.note(("master", bus, hex(frame.id), frame.data.hex()))
         self.handed_out += 1
-        if not self.calm:
-            return
-        self.watching.hands_out(bus, frame.id, frame.data, self.now)
-        if self.boots.running:
-            self.boots.hands_out(bus, frame.id, frame.data)
-            if frame.id & ~0x7F == 0x600 and frame.data[1:3] == READS_INPUTS and self.random.random() < 0.5:
-                self.flip_input(f"{bus}/{frame.id & 0x7F}")
-        elif self.ready and (frame.id == SYNC or 0x200 <= frame.id < 0x580):
-            self.switching.hands_out(bus, frame.id, frame.data)
-        elif self.ready:
-            sdo, alive = frame.id & ~0x7F == 0x600, frame.id == 0x77F or frame.id >> 30
-            require(sdo or alive, f"{bus}: frame {frame.id:03X}h while all boards are ready")
+        self.see("sends", bus, frame)
+        asks = frame.id & ~0x7F == 0x600 and frame.data[1:3] == READS_INPUTS
+        if asks and self.calm and self.master.booting and self.random.random() < 0.5:
+            self.flip_input(f"{bus}/{frame.id & 0x7F}")
+
+    def to_master(self, event: Event) -> None:
+        if isinstance(event, FrameEchoed):
+            self.see("leaves", event.bus, event.frame, 0)
+        super().to_master(event)
 
     def from_board(self, bus: str, frame: Frame) -> None:
         self.note(("board", bus, hex(frame.id), frame.data.hex()))
@@ -224,7 +231,7 @@ class Life(Site):
             self._release()
         super().tick()
         if self.calm and self.running is not None:
-            self.watching.tick(self.now)
+            self.see("ticks")
 
     def _release(self) -> None:
         """Ends pulses, as an executor does at each tick, also while boards boot."""
@@ -235,43 +242,19 @@ class Life(Site):
 
     def commit(self, states: int, release: bool = False) -> None:
         if release:
-            self._released = ~states & self.judged.lines
+            self.released = ~states & self.judged.lines
         else:
-            self._asked = {name: board.levels_of(states) for name, board in self.judged.boards.items()}
+            self.asked = {name: board.levels_of(states) for name, board in self.judged.boards.items()}
         super().commit(states, release)
 
     def sees(self, cause: str, belongs_to: object) -> None:
-        if cause == "read" or not self._pins:
-            return
-        for name, look in self.looks.items():
+        for name, look in self.looks.items() if self._pins and cause != "read" else ():
             before, after = self._pins[name], look.pins()
             if before != after:
-                self._pins[name] = after
+                self._pins[name], self.moved_at[name] = after, self.now
                 self.note((name, f"pins {before:b} -> {after:b}", cause))
-                self._judge_pins(name, before, after, cause, belongs_to is True)
-
-    def _judge_pins(self, name: str, before: int, after: int, cause: str, stage: bool) -> None:
-        """Requires a cause: a command, the loss of the master, the supply, or another program."""
-        board, changed, rises = self.judged.boards[name], before ^ after, after & ~before
-        text = f"{name}: pins {before:b} become {after:b} by {cause}"
-        if cause in ("START", "frame"):
-            require(False, text)
-        elif cause in ("SDO", "NMT"):
-            require(not rises & ~board.off, text)
-        elif cause in ("SYNC", "RPDO"):
-            ends = sum(1 << wire.bit for wire in board.outputs if wire.line & self._released)
-            late = (after ^ self._asked[name]) & board.used  # a board that has missed its command follows it now
-            require(stage or not (changed & ~ends | rises & ends & ~board.off) & late, f"{text} of a release")
-            require(not self.calm or not changed & ~board.used, f"{text}; {board.used:b} are used")
-        require(not (self.ready and self.calm) or cause in ("SYNC", "RPDO"), text)
-        on, came = after ^ board.off, changed & (after ^ board.off)
-        pairs = [(a, b) for a, b in board.pairs if on >> a & on >> b & (came >> a | came >> b) & 1]
-        require(not pairs or cause in (TOOL, "foreign", "fault"), f"{text}: one of {pairs} comes on beside the other")
-
-    def to_master(self, event: Event) -> None:
-        if isinstance(event, FrameEchoed):
-            self.switching.echoes(event.bus, event.frame.id, self.now)
-        super().to_master(event)
+                self.see("pins", name, before, after, cause, belongs_to is True)
+                self.see("switches", Switch(before ^ after, after, cause, name, None))
 
     def wait(self, holds: Callable[[], object], longest: float, text: str) -> None:
         """Runs steps until something holds."""

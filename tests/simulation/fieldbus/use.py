@@ -1,14 +1,16 @@
-"""The use of an arm whose boards are ready: switches, rests, and turns of all reads."""
+"""The use of an arm whose boards are ready: switches, pulses and rests."""
 
 from __future__ import annotations
 
 from tests.simulation.faults.fault import Switch
-from tests.simulation.fieldbus.judge.wires import bytes_of
 from tests.simulation.fieldbus.life import Life
+from tests.simulation.statements.boards import INVALID, bits_in, bytes_of
+from tests.simulation.statements.objects import LIVE, TIMES
 from tests.simulation.verdict import require
 
 COMMITTED = 0.6  # [s] until a command must be over
-LONGEST_TURN = 12.0  # [s] of reads that is worth waiting for
+LATE = 0.004  # [s] from a change of pins until the master tells it
+AT_ONCE = 254  # first transmission type of an RPDO that does not wait for SYNC
 
 
 class UsedArm(Life):
@@ -16,15 +18,10 @@ class UsedArm(Life):
 
     def use(self) -> None:
         """Switches a few times, and lets the arm rest."""
-        random = self.random
-        for _ in range(random.choice([1, 2, 3])):
+        for _ in range(self.random.choice([1, 2, 3])):
             self.switch(self.drawn_states())
-            self.pass_time(random.choice([0.03, 0.1]))
+            self.pass_time(self.random.choice([0.03, 0.1]))
         self.release_pulses()
-        if random.random() < 0.25:
-            self.pass_time(random.choice([1.2, 2.2]))
-            self.watching.judge_inputs()
-        self.watching.judge_rate()
         self.settle()
         require(not self.master.drain_faults(), "faults without a cause")
 
@@ -39,45 +36,46 @@ class UsedArm(Life):
         return states
 
     def switch(self, states: int) -> None:
-        master, before = self.master, self.now
-        changed = self.switching.states ^ states
-        ending = self.switching.states & ~states & self.judged.pulsed & master.unread
-        self.switching.commands(states)
-        self._send(states, "switches")
-        require(self.now - before <= 0.3 + self.watching.slack, f"a command takes {self.now - before:.3f} s")
-        self._judge_missed(ending)
+        changed = self.driven() ^ states
+        self._send(states, states, "switches")
         if self.random.random() < 0.7:
-            self.wait(lambda: not master.unread, COMMITTED + self.watching.slack, "read back")
-        for name, board in self.judged.boards.items():
-            if changed & board.unsensed & ~master.unread:
-                read, unread = name in self.watching.output_reads, master.unread
-                require(read, f"{name}: {changed:b} was switched, {unread:b} is unread, and nobody has read outputs")
+            self.wait(lambda: not self.master.unread, COMMITTED + self.sight.slack, "read back")
+        self.see("switched", changed)
 
     def release_pulses(self) -> None:
-        if on := self.switching.states & self.judged.pulsed:
-            ending = on & self.master.unread
-            self.switching.commands(self.switching.states & ~on, on)
-            self._send(~on & self.judged.lines, "releases", release=True)
-            self._judge_missed(ending)
-            self.wait(lambda: not self.master.released, COMMITTED + self.watching.slack, "read back off")
+        if on := self.driven() & self.judged.pulsed:
+            self._send(~on & self.judged.lines, self.driven() & ~on, "releases")
+            self.wait(lambda: not self.master.released, COMMITTED + self.sight.slack, "read back off")
 
-    def _send(self, states: int, what: str, release: bool = False) -> None:
-        self.count_reads()
+    def _send(self, states: int, after: int, what: str) -> None:
+        """Gives a command, and requires that it switches all at once, tells when, and changes nothing else."""
         self.note(f"{what} {states:b}")
-        self.commit(states, release)
+        master, before, began = self.master, self.driven(), self.now
+        unread = before & ~after & self.judged.pulsed & master.unread
+        objects = {name: self.kept(name) for name in self.looks}
+        self.see("commands")
+        self.commit(states, release=what == "releases")
         self.wait(lambda: not self.moves(), COMMITTED, "committed")
         self.made[what] += 1
-        self.switching.ended(self.master.outputs, self.master.drain_switched(), self.master.commit_failed)
+        driven, failed = self.driven(), master.commit_failed
+        require(driven == after == master.outputs, f"{driven:b} are driven after a command of {after:b}: {failed}")
+        require(failed is None and self.now - began <= 0.3 + self.sight.slack, f"{self.now - began:g} s: {failed}")
+        switched = master.drain_switched()
+        told = sum(mask for mask, _ in switched)
+        require(told == before ^ after, f"{switched} is told as switched; {before ^ after:b} has")
+        moments = [self.moved_at[name] for name in self.looks]
+        late = [one for one in switched if min(abs(one[1] - at) for at in moments) > LATE]
+        require(not late, f"{late} is told as switched; the pins have changed at {self.moved_at}")
+        missed = master.drain_missed()
+        require(not missed & ~unread, f"pulses {missed:b} are missed; {unread:b} have ended unread")
+        changed = [name for name in self.looks if self.kept(name) != objects[name]]
+        require(not changed, f"a command changes objects of {changed} that are no outputs")
 
-    def _judge_missed(self, ending: int) -> None:
-        """Requires that only pulses are missed that have ended unread: lines of a mask."""
-        missed = self.master.drain_missed()
-        require(not missed & ~ending, f"pulses {missed:b} are missed; {ending:b} have ended unread")
-
-    def count_reads(self) -> None:
-        for board in self.judged.boards.values():
-            more = 12 * max(1, board.used.bit_count())
-            self.watching.further[board.bus] = self.watching.further.get(board.bus, 0) + more
+    def kept(self, name: str) -> dict[tuple[int, int], int]:
+        """Returns the objects of a board that no command changes."""
+        free, look = {*LIVE, *TIMES, self.judged.boards[name].base}, self.looks[name]
+        described = self.board(name).objects.described
+        return {(i, sub): look.number(i, sub) for i in described if i not in free for sub in described[i]}
 
     def release_quietly(self) -> None:
         """Switches the lines of pulses off after a fault, unjudged."""
@@ -88,38 +86,35 @@ class UsedArm(Life):
         self.forget()
 
     def forget(self) -> None:
-        """The arm is switched as it is, whatever was commanded."""
-        self.switching.forget(self.switching.driven())
+        """Drops what the master tells of an unjudged command."""
         self.master.drain_switched()
         self.master.drain_missed()
-        self.count_reads()
 
-    def read_all(self) -> None:
-        self.made["all objects are read"] += 1
-        self.watching.ready(self.now)
-        self.watching.further = {}
-        longest = max(self.watching.turn(bus, self.found) for bus in self.judged.buses)
-        if longest <= LONGEST_TURN:
-            self.pass_time(longest + 0.05)
-            self.watching.judge_turn(self.found)
-            self.watching.judge_inputs()
-            self.settle()
+    # --- what faults need
 
     def waits(self, name: str) -> bool:
         """Returns whether a board switches with SYNC."""
-        return all(part.waits for part in self.switching.parts_of(name))
+        return all(self.looks[name].number(index, 2) < AT_ONCE for index in self.rpdos(name))
+
+    def rpdos(self, name: str) -> list[int]:
+        """Returns the enabled RPDOs of a board that carry used outputs."""
+        board, look = self.judged.boards[name], self.looks[name]
+        here = [index for index in range(0x1400, 0x1440) if look.has(index, 1) and not look.number(index, 1) & INVALID]
+        return [index for index in here if bits_in(look.mapping(index), board.base) & board.used]
+
+    def lines_on(self, bus: str) -> int:
+        return sum(board.lines for board in self.judged.boards.values() if board.bus == bus)
 
     def switch_on(self, name: str) -> Switch | None:
-        board, states = self.judged.boards[name], self.switching.states
+        board, states = self.judged.boards[name], self.driven()
         lines = [wire.line for wire in board.outputs if not wire.line & self.judged.pulsed]
         if not lines or states & self.judged.pulsed or not self.waits(name):
             return None
         line = self.random.choice(lines)
-        changed = board.levels_of(states ^ line) ^ board.levels_of(states)
         if self.possible(states ^ line) != states ^ line:
             return None
-        place = board.base, bytes_of(changed)[0]
-        return Switch(lambda: self.commit(states ^ line), place, 3 * self.watching.slack)
+        place = board.base, bytes_of(board.levels_of(states ^ line) ^ board.levels_of(states))[0]
+        return Switch(lambda: self.commit(states ^ line), place, 3 * self.sight.slack)
 
     def reads_outputs(self, name: str) -> bool:
-        return not self.switching.states & self.judged.pulsed
+        return not self.driven() & self.judged.pulsed

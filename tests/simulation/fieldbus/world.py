@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from random import Random
 from typing import Any
 
 from hyperbit.drivers.canopen.wire.cia301 import State
-from tests.simulation.agenda import Agenda
+from tests.simulation.agenda import Agenda, StepsAreOver
 from tests.simulation.faults.fault import Deck, Fault, Row, Told
 from tests.simulation.faults.table import rows
 from tests.simulation.fieldbus import commands
@@ -38,12 +39,16 @@ class BoardWorld:
         self._arrive()
 
     def run(self, steps: int) -> None:
-        end = self.agenda.steps + steps
-        while self.agenda.steps < end:
-            self._live()
-            self._made += self.arm.made
-            self.agenda.clear()
-            self._arrive()
+        """Runs `steps` steps."""
+        self.agenda.end = self.agenda.steps + steps
+        try:
+            while True:
+                self._live()
+                self._made = self.counted()
+                self.agenda.clear()
+                self._arrive()
+        except StepsAreOver:
+            self.agenda.end = math.inf
 
     def _arrive(self) -> None:
         drawn = draw(self.random)
@@ -85,10 +90,8 @@ class BoardWorld:
             arm.boot(new=True)
         elif drawn < 0.65:
             disturb_boot(arm, self._beside)
-        elif drawn < 0.92:
+        elif drawn < 0.95:
             self._trouble()
-        elif drawn < 0.96:
-            arm.read_all()
 
     # --- faults
 
@@ -122,7 +125,7 @@ class BoardWorld:
         fault.end()
         arm.boards.see("foreign")
         arm.calm = True
-        arm.watching.restart(arm.now)
+        arm.see("begins")
         self._come_back(row, told)
 
     def _hear(self, row: Row, told: Told, heard: list[Any], began: float) -> bool:
@@ -171,7 +174,7 @@ class BoardWorld:
         if (told.warns or not told.codes) and not told.lost and told.beats:
             master.drain_switched()
             arm.ready = True
-            arm.watching.ready(arm.now)
+            arm.see("readies")
             arm.settle()
             require(not master.drain_faults(), f"{row.name} is told later")
             return
@@ -224,10 +227,13 @@ class BoardWorld:
             arm.repair()
         arm.boot(new=True)
 
+    def counted(self) -> Counter[str]:
+        """Returns what all arms so far have met."""
+        made = Counter({f"fieldbus: {what}": count for what, count in self.arm.made.items()})
+        return self._made + made + self.arm.statements.counts()
+
     def counts(self) -> Counter[str]:
-        made = self._made + self.arm.made
-        made += Counter({f"fault: {name}": count for name, count in self._alone.made.items()})
-        return Counter({f"fieldbus: {what}": count for what, count in made.items()})
+        return self.counted() + Counter({f"fieldbus: fault: {name}": n for name, n in self._alone.made.items()})
 
     def note(self, event: object) -> None:
         self.events.append((self.agenda.now, event))

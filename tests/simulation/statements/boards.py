@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from itertools import groupby
 from typing import Any, NamedTuple
 
 OUTPUTS, INPUTS = 0x6200, 0x6000
@@ -18,29 +19,25 @@ class Wire(NamedTuple):
     inverted: bool
 
 
-class Pdo(NamedTuple):
-    """A PDO that the wiring needs: its COB-ID and the entries of its mapping."""
-
-    cob_id: int
-    mapping: tuple[int, ...]
-
-
 class Look(NamedTuple):
     """What the world shows of one board.
 
     Attributes:
-        number: value of an index and sub-index.
-        has: whether there is an object.
+        number: value of an index and sub-index; 0 without it.
+        has: whether there is an index and sub-index.
         state: NMT state; None without supply.
         pins: levels of its output pins.
         inputs: levels of its inputs.
     """
 
     number: Callable[[int, int], int]
-    has: Callable[[int], bool]
+    has: Callable[[int, int], bool]
     state: Callable[[], int | None]
     pins: Callable[[], int]
     inputs: Callable[[], int]
+
+    def mapping(self, pdo: int) -> list[int]:
+        return [self.number(pdo + 0x200, 1 + k) for k in range(self.number(pdo + 0x200, 0))]
 
 
 def bytes_of(bits: int) -> list[int]:
@@ -48,21 +45,15 @@ def bytes_of(bits: int) -> list[int]:
     return [1 + k for k in range((bits.bit_length() + 7) // 8) if bits >> 8 * k & 0xFF]
 
 
-def carried(mapping: Iterable[int], base: int) -> list[tuple[int, int, int]]:
-    """Returns the bits of a board in a PDO: first bit, its place in the frame, and their number (CiA 401)."""
-    found, place = [], 0
+def bits_in(mapping: Iterable[int], base: int) -> int:
+    """Returns the mask of a board's bits in a PDO (CiA 401)."""
+    found = 0
     for entry in mapping:
         index, sub, count = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
         size = {base: 8, base + 0x20: 1, base + 0x100: 16, base + 0x120: 32}.get(index)
         if size == count and sub and (index == base or base in (OUTPUTS, INPUTS)):
-            found.append(((sub - 1) * count, place, count))
-        place += count
+            found |= ((1 << count) - 1) << (sub - 1) * count
     return found
-
-
-def bits_in(mapping: Iterable[int], base: int) -> int:
-    """Returns the mask of a board's bits in a PDO."""
-    return sum(((1 << count) - 1) << bit for bit, _, count in carried(mapping, base))
 
 
 def _wires(lines: Iterable[Any], place: Any) -> list[Wire]:
@@ -81,9 +72,8 @@ class JudgedBoard:
         taken: output bits with a level for the loss of the master, and `levels`, these levels.
         error_state: what the file says of a board without an error mode.
         identity: needed values of 1018h by sub-index.
-        rpdos: the RPDOs that it needs, and `tpdos` likewise.
+        rpdos: COB-IDs of the RPDOs that it needs, and `tpdos` likewise.
         shares: whether other boards share its RPDO.
-        interlocked: whether it has an interlock.
         pairs: pairs of output bits of one actuator.
         actuators: mask of the actuators with a line on it.
         unsensed: mask of its output lines whose actuators have no end-stop.
@@ -110,32 +100,30 @@ class JudgedBoard:
             if level is not None:
                 self.taken |= 1 << wire.bit
                 self.levels |= (level != wire.inverted) << wire.bit
-        self.rpdos = self._needed(0x200, self.base, self.used)
-        self.tpdos = self._needed(0x180, INPUTS, self.sensed)
+        self.rpdos, self.tpdos = self._cob_ids(0x200, self.used), self._cob_ids(0x180, self.sensed)
         self.shares = False
         self.interlocked = any(lock.line.board == place for lock in wiring.interlocks)
+        channels = wiring.channels
         self.pairs = [
-            (c.output, c.output_off) for c in wiring.channels if c.output_off is not None and (c.bus, c.node) == place
+            (c.output, c.output_off) for c in channels if c.output_off is not None and (c.bus, c.node) == place
         ]
         self.actuators = sum(
-            1 << k for k, c in enumerate(wiring.channels) if any(line.board == place for line in c.lines.values())
+            1 << k for k, c in enumerate(channels) if any(line.board == place for line in c.lines.values())
         )
-        silent = [k for k, c in enumerate(wiring.channels) if c.input is None and c.input_contracted is None]
-        count = len(wiring.channels)
-        silent += [count + i for i, k in enumerate(wiring.paired) if k in silent]
+        silent = [k for k, c in enumerate(channels) if c.input is None and c.input_contracted is None]
+        silent += [len(channels) + i for i, k in enumerate(wiring.paired) if k in silent]
         self.unsensed = self.lines & sum(1 << k for k in silent)
 
-    def _needed(self, cob_id: int, index: int, bits: int) -> list[Pdo]:
-        subs = bytes_of(bits)
-        groups = [subs[k : k + PDO_BYTES] for k in range(0, len(subs), PDO_BYTES)]
-        return [
-            Pdo(cob_id + 0x100 * i + self.node, tuple(index << 16 | sub << 8 | 8 for sub in group))
-            for i, group in enumerate(groups)
-        ]
+    def _cob_ids(self, first: int, bits: int) -> list[int]:
+        return [first + 0x100 * i + self.node for i in range(-(-len(bytes_of(bits)) // PDO_BYTES))]
 
     def levels_of(self, states: int) -> int:
         """Returns the levels of its used output bits for the states of all lines."""
         return sum(1 << wire.bit for wire in self.outputs if bool(states & wire.line) != wire.inverted)
+
+    def driven(self, pins: int) -> int:
+        """Returns the mask of its output lines that are on, from the levels of its pins."""
+        return sum(wire.line for wire in self.outputs if (pins >> wire.bit & 1) != wire.inverted)
 
     def read(self, inputs: int) -> int:
         """Returns the mask of its input lines that are 1, from the levels of its inputs."""
@@ -151,37 +139,28 @@ class JudgedWiring:
         board_of: number of the board with the outputs of each actuator.
     """
 
-    def __init__(self, wiring: Any, timing: Any) -> None:
+    def __init__(self, wiring: Any) -> None:
         self.boards = {str(place): JudgedBoard(wiring, place) for place in wiring.boards}
-        self.timing = timing
-        self.buses = [bus.name for bus in wiring.buses]
         self.rates = {bus.name: bus.bitrate for bus in wiring.buses}
         self.lines = sum(board.lines for board in self.boards.values())
         self.actuators = (1 << len(wiring.channels)) - 1
         names = list(self.boards)
         self.board_of = tuple(names.index(f"{c.bus}/{c.node}") for c in wiring.channels)
         pulses = [k for k, c in enumerate(wiring.channels) if c.pulse is not None]
-        count = len(wiring.channels)
-        pulses += [count + i for i, k in enumerate(wiring.paired) if k in pulses]
+        pulses += [len(wiring.channels) + i for i, k in enumerate(wiring.paired) if k in pulses]
         self.pulsed = sum(1 << k for k in pulses)
-        if wiring.shared_rpdo:
-            self._share()
+        for _, here in groupby(self.boards.values(), lambda board: board.bus):
+            if wiring.shared_rpdo:
+                _share([board for board in here if board.used])
 
-    def _share(self) -> None:
-        """Boards of a bus share frames of up to 8 output bytes; bytes of others are dummies."""
-        groups: list[list[JudgedBoard]] = []
-        for board in self.boards.values():
-            if not board.used:
-                continue
-            filled = sum(len(bytes_of(other.used)) for other in groups[-1]) if groups else PDO_BYTES
-            if groups and groups[-1][0].bus == board.bus and filled + len(bytes_of(board.used)) <= PDO_BYTES:
-                groups[-1].append(board)
-            else:
-                groups.append([board])
-        for group in groups:
-            for board in group if len(group) > 1 else ():
-                mapping: list[int] = []
-                for other in group:
-                    subs = bytes_of(other.used)
-                    mapping += [board.base << 16 | sub << 8 | 8 if other is board else 0x0005_0008 for sub in subs]
-                board.rpdos, board.shares = [Pdo(0x200 + group[0].node, tuple(mapping))], True
+
+def _share(boards: list[JudgedBoard]) -> None:
+    """Boards of a bus share frames of up to 8 output bytes."""
+    filled, first = PDO_BYTES, boards[:1]
+    for board in boards:
+        size = len(bytes_of(board.used))
+        if filled + size > PDO_BYTES:
+            filled, first = 0, [board]
+        filled += size
+        board.rpdos = first[0].rpdos
+        board.shares = first[0].shares = board.shares or board is not first[0]
