@@ -23,7 +23,7 @@ from tests.simulation.whole.planner_process import LOGS
 from tests.simulation.world import World
 
 KINDS = ("scripted", "whole", "boards")
-STEPS_A_SEED = {"scripted": 5_000, "whole": 15_000, "boards": 5_000}  # many arms find more than long lives
+STEPS_A_SEED = {"scripted": 5_000, "whole": 15_000, "boards": 3_000}  # many arms find more than long lives
 LONG = 100_000  # steps of scripted or whole worlds, within which each of their statements must have been armed
 JUDGES = {"scripted": EVERY, "whole": (*OF_CLIENTS, *OF_THE_ARM), "boards": ()}  # statements with a floor
 MOST_FAILED = 20  # failed seeds, after which the run ends

@@ -12,10 +12,18 @@ from tests.simulation.fieldbus.more_variants import MORE, enriched
 
 SLOW = ("slow-answers", "late-boot")  # they take 40 s and 5 s; `MORE` has quicker ones
 ALL: Mapping[str, Variant] = {name: v for name, v in VARIANTS.items() if name not in SLOW} | MORE
-REFUSED = ("unsupervised", "inverted-outputs", "deaf-error-mode", "standing-error", "generic-error", "blocking-error")
-HOLDING = (  # boards whose outputs nobody can tell to go off
-    *("guarding-only", "rounded-guarding", "no-error-behaviour", "canopennode", "no-error-mode", "no-error-mode-off"),
-    *("maker-object", "off-in-preoperational"),
+
+
+def _names(text: str) -> list[str]:
+    names = text.split(", ")
+    assert ALL.keys() >= {*names}
+    return names
+
+
+REFUSED = _names("unsupervised, inverted-outputs, deaf-error-mode, standing-error, generic-error, blocking-error")
+HOLDING = _names(  # boards whose outputs nobody can tell to go off
+    "guarding-only, rounded-guarding, no-error-behaviour, canopennode, no-error-mode, no-error-mode-off, maker-object, "
+    "off-in-preoperational"
 )
 TRUTHS = {
     "hold": ("hold", "hold", "device", "device", None),
@@ -23,23 +31,20 @@ TRUTHS = {
     "modes": (None, None, "device", "off"),
 }
 BYTES = {  # used bytes of outputs, of variants that carry fewer or more than 8
-    "many-outputs": 16,
-    "WAGO": 16,
-    "many without SYNC": 16,
-    "short-mapping": 4,
-    "foreign objects in RPDO1": 4,
+    **dict.fromkeys(_names("many-outputs, WAGO, many without SYNC"), 16),
+    **dict.fromkeys(_names("short-mapping, foreign objects in RPDO1"), 4),
 }
-SHARED = frozenset(  # variants that map dummies
-    (
-        "standard",
-        "guarding-only",
-        "guarding-with-1029h",
-        "rounded-heartbeats",
-        "one-supervision",
-        "all-bits",
-        "logged-ends",
-    )
-) | {"foreign-sync", "no-emergencies", "many watched", "both supervisions", "inhibited", "mapped otherwise", "unmapped"}
+SHARED = _names(  # variants for shared RPDOs; those with fixed mappings cannot map dummies, and are refused
+    "standard, guarding-only, guarding-with-1029h, rounded-heartbeats, one-supervision, all-bits, logged-ends, "
+    "foreign-sync, no-emergencies, both supervisions, mapped otherwise, unmapped, "
+    "fixed-mapping, fixed entries"
+)
+RICH = _names(  # variants with much to judge, drawn more often
+    "many-outputs, many-outputs, many-outputs, WAGO, many without SYNC, no-sync, foreign objects in RPDO1, "
+    "outputs in two RPDOs, COB-ID is taken, fixed entries, guarding-with-1029h, kept-loss, no-error-mode, "
+    "maker-object, no-device-type, many-profiles, only outputs, only inputs, no SYNC, no-error-behaviour, "
+    "inputs in two TPDOs, inputs in two TPDOs, inputs in TPDO3, outputs-in-rpdo5, mapped otherwise"
+)
 
 
 class Drawn(NamedTuple):
@@ -47,31 +52,6 @@ class Drawn(NamedTuple):
     timing: Timing
     variants: dict[str, Variant]
     names: dict[str, str]  # of the variants
-
-
-UNSHARED = ("fixed-mapping", "fixed entries")  # variants that cannot map dummies: refused if they share an RPDO
-RICH = (  # variants with much to judge, drawn twice as often
-    *(
-        "many-outputs",
-        "many-outputs",
-        "many-outputs",
-        "WAGO",
-        "many without SYNC",
-        "no-sync",
-        "foreign objects in RPDO1",
-        "outputs in two RPDOs",
-    ),
-    *("COB-ID is taken", "fixed entries", "guarding-with-1029h", "kept-loss", "no-error-mode", "maker-object"),
-    *("no-device-type", "many-profiles", "only outputs", "only inputs", "no SYNC", "no-error-behaviour"),
-    *(
-        "inputs in two TPDOs",
-        "inputs in two TPDOs",
-        "inputs in TPDO3",
-        "outputs-in-rpdo5",
-        "many watched",
-        "mapped otherwise",
-    ),
-)
 
 
 def draw(random: Random) -> Drawn:
@@ -87,7 +67,7 @@ def draw(random: Random) -> Drawn:
     falls, unfit = random.random() < 0.5, random.random() < 0.1  # whether outputs go off without the master
     pool = [
         name
-        for name in (sorted({*SHARED, *UNSHARED}) if shared else (*ALL, *RICH))
+        for name in (sorted(SHARED) if shared else (*ALL, *RICH))
         if (name != "rounded-guarding" or heartbeat == 0.1) and (not falls or unfit or name not in HOLDING)
     ]
     names = {place: _variant(random, pool) for place in places}

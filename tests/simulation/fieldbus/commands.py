@@ -10,7 +10,6 @@ from hyperbit.drivers.canopen.faults import Busy
 from tests.simulation.buses.bus_model import BusModel
 from tests.simulation.faults.fault import Fault, Maker, Place, Row, Told
 from tests.simulation.fieldbus.use import COMMITTED, UsedArm
-from tests.simulation.statements.boards import bits_in
 from tests.simulation.verdict import require
 
 AT_ONCE = 0.05  # [s] until a failure is told
@@ -39,10 +38,10 @@ class Command(NamedTuple):
             self.arm.master.give_up(WHY)
         return self.arm.master.leaving
 
-    def refused(self, states: int, why: type[Exception] = Busy) -> str:
+    def refused(self, states: int) -> str:
         try:
             self.arm.commit(states)
-        except why as error:
+        except Busy as error:
             return str(error)
         require(False, f"a command of {states:b} is not refused")
         return ""
@@ -75,11 +74,14 @@ class Disturbance(NamedTuple):
 
 
 def _give_up(command: Command) -> int:
+    """Boards without SYNC still switch when their frames leave, all others hold."""
+    arm = command.arm
     command.send()
-    require(command.arm.master.collecting, "a command has begun, and is not told")
-    command.give_up()
-    require(not command.arm.master.committing, "a command was given up, and is told")
-    return 0
+    held = sum(board.lines for name, board in arm.judged.boards.items() if arm.waits(name))
+    require(arm.master.collecting or not held & command.changed, "a command has begun, and is not told")
+    leaving = command.give_up()
+    require(leaving == command.changed & ~held, f"{leaving:b} are leaving, {command} is given up, {held:b} wait")
+    return leaving
 
 
 def _give_up_too_late(command: Command) -> int:
@@ -89,19 +91,6 @@ def _give_up_too_late(command: Command) -> int:
     require(not master.outputs_known, "outputs are known while SYNCs leave")
     leaving = command.give_up()
     require(leaving == command.changed, f"{leaving:b} are leaving, {command.changed:b} change")
-    return leaving
-
-
-def _give_up_at_once(command: Command) -> int:
-    """Boards without SYNC still switch when their frames leave, all others hold."""
-    arm, leaving = command.arm, 0
-    for name, board in arm.judged.boards.items():
-        if not arm.waits(name):
-            bits = sum(bits_in(arm.looks[name].mapping(index), board.base) for index in arm.rpdos(name))
-            leaving |= sum(wire.line for wire in board.outputs if bits >> wire.bit & 1) & command.changed
-    command.send()
-    told = command.give_up()
-    require(told == leaving, f"{told:b} are leaving, {leaving:b} are commanded")
     return leaving
 
 
@@ -130,12 +119,6 @@ def _lose_RPDO(command: Command) -> int:
     return 0
 
 
-def _command_lines_that_are_not_there(command: Command) -> int:
-    command.refused(1 << command.arm.judged.lines.bit_length(), ValueError)
-    command.refused(-1, ValueError)
-    return 0
-
-
 def _command_the_present_states(command: Command) -> int:
     arm, sent = command.arm, command.arm.handed_out
     arm.commit(command.before)
@@ -144,13 +127,11 @@ def _command_the_present_states(command: Command) -> int:
 
 
 DISTURBANCES = {
-    "command is given up": Disturbance(_give_up, True),
+    "command is given up": Disturbance(_give_up, None, waits=False),
     "command is given up after its SYNC": Disturbance(_give_up_too_late),
-    "command is given up that waits for no SYNC": Disturbance(_give_up_at_once, None, waits=False),
     "command during a command": Disturbance(_command_again, waits=False),
     "command while an older frame waits": Disturbance(_command_while_an_older_frame_waits, None),
     "RPDO is not sent": Disturbance(_lose_RPDO, True),
-    "command of lines that are not there": Disturbance(_command_lines_that_are_not_there, waits=False),
     "command of the present states": Disturbance(_command_the_present_states, waits=False),
 }
 
@@ -167,7 +148,7 @@ def _command(at: Place, needs_sync: bool = True) -> Command | None:
 def _disturbed(disturbance: Disturbance, at: Place) -> Fault | None:
     command, arm = _command(at, disturbance.waits), at.world
     split = arm.wiring.shared_rpdo or any(len(arm.rpdos(name)) > 1 for name in arm.looks)
-    if command is None or (disturbance.happen is _give_up_at_once and (split or all(map(arm.waits, arm.looks)))):
+    if command is None or (disturbance.happen is _give_up and split and not all(map(arm.waits, arm.looks))):
         return None
 
     def begin() -> None:

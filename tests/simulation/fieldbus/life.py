@@ -13,6 +13,7 @@ from hyperbit.drivers.canopen.wire.events import Event, FrameEchoed
 from tests.simulation.agenda import Agenda
 from tests.simulation.facts import Switch
 from tests.simulation.faults.fault import Deck, Fault, Told
+from tests.simulation.faults.sight import Sight
 from tests.simulation.fieldbus.arms import Drawn
 from tests.simulation.fieldbus.boots import BootsAreSound
 from tests.simulation.fieldbus.site import Site
@@ -36,7 +37,8 @@ class Life(Site):
     pins(name, before, after, cause, of_command): pins of a board change; `switches` tells the same of all boards.
     sends(bus, frame), leaves(bus, frame, missing): the master hands out a frame; its echo comes.
     begins(), readies(): a time without trouble begins; all boards are ready.
-    commands(), switched(changed), tells(): a command begins; it is over; all that is told must be true now.
+    commands(), switched(changed): a command begins; it is over.
+    knows(lost, why), tells(): some boards are lost, and this is told; all that is told must be true now.
     ticks(): the master was called.
 
     Attributes:
@@ -55,6 +57,7 @@ class Life(Site):
         self.note, self._pins, self.handed_out = note, dict[str, int](), 0
         super().__init__(drawn.wiring, drawn.timing, drawn.variants, agenda, random)
         self.drawn, self.random, self.made = drawn, random, Counter[str]()
+        self.sight = Sight(self.wiring, self.timing, self.boards, self.variants)
         self.judged, self.looks, self.world = self.sight.wiring, self.sight.looks, self
         account: Any = self
         self.objects, self.boots = BoardObjects(account), BootsAreSound(self)
@@ -170,6 +173,16 @@ class Life(Site):
             for name in self.looks:
                 self.boards.fault(verb, name)
             self.pass_time(0.02)
+
+    def mend(self) -> None:
+        """Ends faults of buses, and connects all boards."""
+        for bus in self.buses.values():
+            bus.restore()
+        self.boards.loses = None
+        for name in self.boards.simulated.names:
+            self.boards.fault("unsilence", name)
+            if not self.board(name).powered:
+                self.boards.fault("power_on", name)
 
     # --- inputs
 

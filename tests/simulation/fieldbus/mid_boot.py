@@ -60,13 +60,8 @@ def _frame(arm: UsedArm, name: str, deck: Deck) -> None:
     arm.boot(new=True)
 
 
-def _cut_supply(arm: UsedArm, name: str) -> None:
-    for verb in ("power_cut", "power_on"):
-        arm.boards.fault(verb, name)
-
-
 def _restart(arm: UsedArm, name: str, deck: Deck) -> None:
-    """The board restarts: it boots anew."""
+    """The board restarts once, and boots anew."""
 
     def restart() -> str:
         arm.agenda.after(1e-6, cut)
@@ -84,7 +79,7 @@ def _restart(arm: UsedArm, name: str, deck: Deck) -> None:
 
 
 def _restarts(arm: UsedArm, name: str, deck: Deck) -> None:
-    """The board restarts again and again, and is refused for it."""
+    """The board restarts again and again at one place of its boot, and is refused for it."""
     board, restarts = arm.board(name), list[Frame]()
     if board.variant.boot_time or board.silent or not board.powered:
         return
@@ -101,7 +96,11 @@ def _restarts(arm: UsedArm, name: str, deck: Deck) -> None:
     ours = [fault.code for fault in arm.master.boot_faults if fault.source == name]
     right = ours == ["board-rebooted"] and len(restarts) > MOST_RESTARTS
     require(right or (not restarts and len(ours) == 1), f"{name} restarted {len(restarts)} times, told is {ours}")
-    require(not arm.master.outputs_known, "the master is ready")
+
+
+def _cut_supply(arm: UsedArm, name: str) -> None:
+    for verb in ("power_cut", "power_on"):
+        arm.boards.fault(verb, name)
 
 
 def _error(arm: UsedArm, name: str, deck: Deck) -> None:

@@ -82,19 +82,9 @@ MORE: Mapping[str, Variant] = {
     ),
     "fixed types": Variant("the type of RPDO1 is read-only: 255", changes={**_fixed(0x1400, 2)}, synchronous=False),
     "no inhibit time": Variant("no inhibit times", changes={**_without(0x1800, 3)}),
-    "many watched": Variant(
-        "1016h has four entries, one in use", changes=array(0x1016, [3 << 16 | 500, 0, 0, 4 << 16 | 800], size=4)
-    ),
-    "full of watched": Variant(
-        "1016h has two entries in use", changes=array(0x1016, [3 << 16 | 500, 4 << 16 | 800], size=4)
-    ),
     "both supervisions": Variant(
         "heartbeats and node guarding", changes={(0x100C, 0): number(2, 500), (0x100D, 0): number(1, 3)}
     ),
-    "filtered outputs": Variant("6208h masks outputs", changes=array(0x6208, [0] * 8)),
-    "inputs off": Variant("6005h is 0", stored={(0x6005, 0): 0}),
-    "inhibited": Variant("TPDO1 has an inhibit and an event time", stored={(0x1800, 3): 500, (0x1800, 5): 77}),
-    "deadline": Variant("RPDO1 has a deadline", stored={(0x1400, 5): 300}),
     "mapped otherwise": Variant(
         "RPDO1 and TPDO1 map other bytes",
         changes={

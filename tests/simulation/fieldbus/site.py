@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cached_property
 from random import Random
 
 from hyperbit.drivers.canopen.run.master import Master
@@ -16,8 +15,6 @@ from hyperbit.drivers.simulation.variants import Variant
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.boards import AttachedBoards
 from tests.simulation.buses.bus_model import BusModel, OnItsWay
-from tests.simulation.faults.fault import Fault, Switch
-from tests.simulation.faults.sight import Sight
 
 TICK = 0.01  # [s] between two calls of the master
 TOOL = "tool"  # cause of a change of pins by another program
@@ -57,10 +54,6 @@ class Site:
         self.boards = SeenBoards(wiring, timing, variants, agenda, self.from_board)
         self.boards.site = self
         agenda.after(TICK, self._tick)
-
-    @cached_property
-    def sight(self) -> Sight:
-        return Sight(self.wiring, self.timing, self.boards, self.variants)
 
     @property
     def now(self) -> float:
@@ -168,40 +161,8 @@ class Site:
         bus, node = name.split("/")
         self.boards.receive(bus, Frame(cia301.NMT, bytes([command, int(node)])), TOOL)
 
-    def mend(self) -> None:
-        """Ends faults of buses, and connects all boards."""
-        for bus in self.buses.values():
-            bus.restore()
-        self.boards.loses = None
-        for name in self.boards.simulated.names:
-            self.boards.fault("unsilence", name)
-            if not self.board(name).powered:
-                self.boards.fault("power_on", name)
-
     def pass_time(self, seconds: float) -> None:
         self.agenda.run(seconds)
-
-    def moves(self) -> bool:
-        """Whether frames under way may switch something."""
-        master = self.running
-        return master is not None and bool(master.committing or master.collecting or master.leaving or master.booting)
-
-    def switch_on(self, name: str) -> Switch | None:
-        """Returns a command that switches an output of a board, if one can be given now."""
-        return None
-
-    def flip_of(self, name: str) -> Fault | None:
-        """Returns a change of an input of a board, if it has one that nothing else supervises."""
-        return None
-
-    def reads_outputs(self, name: str) -> bool:
-        """Whether the outputs of a board rest, and are read in turn."""
-        return False
-
-    def ignored(self, bus: str) -> int:
-        """Returns how many frames of a bus the master has not understood; 0 without a master."""
-        buses = self.running.status().buses if self.running is not None else ()
-        return sum(status.ignored for status in buses if status.name == bus)
 
 
 def cause_of(frame: Frame) -> str:

@@ -171,18 +171,31 @@ class OutputsWereRead(OfBoards):
 
 
 class ToldIsTrue(OfBoards):
-    """What the master tells of ready boards is true: inputs, outputs, states and heartbeats."""
+    """What the master tells of ready boards is true: inputs, outputs, states, heartbeats. It knows nothing of others.
+
+    An actuator is known if all its boards are ready.
+    """
 
     number = 5
 
+    def knows(self, lost: tuple[str, ...], why: str) -> None:
+        """These boards are lost, and all others are ready."""
+        boards, master = self.life.judged.boards.values(), self.life.master
+        inputs = sum(board.input_lines for board in boards if board.name not in lost)
+        known = self.life.judged.actuators
+        for board in boards:
+            known &= ~board.actuators if board.name in lost else -1
+        self.require(master.outputs_known == (not lost), f"{why}: outputs are known, and {lost} are lost, or neither")
+        self.require(master.known == known, f"{why}: actuators {master.known:b} are known, {known:b} are")
+        self.require(master.inputs_known == inputs, f"{why}: inputs {master.inputs_known:b} are known; {inputs:b} are")
+        self.require(not master.ends & ~inputs, f"{why}: inputs {master.ends:b} are told, {inputs:b} are known")
+
     def tells(self) -> None:
         life, master, wiring = self.life, self.life.master, self.life.judged
-        inputs = sum(board.input_lines for board in wiring.boards.values())
+        self.knows((), "ready")
         self.require(master.ends == life.ends(), f"inputs are told as {master.ends:b}; they read {life.ends():b}")
-        self.require(master.inputs_known == inputs, f"inputs {master.inputs_known:b} are known; {inputs:b} are")
-        self.require(master.known == wiring.actuators, f"actuators {master.known:b} are known; all are")
         self.require(master.board_of == wiring.board_of, f"{master.board_of} are told as boards of the actuators")
-        self.require(master.outputs_known and master.back, "the master is not ready")
+        self.require(master.back, "the master is not ready")
         self.require(not master.doubtful, f"outputs {master.doubtful:b} are doubtful")
         self.require(master.outputs == life.driven(), f"{master.outputs:b} are told, {life.driven():b} are driven")
         for told in master.status().boards:

@@ -92,6 +92,16 @@ class UsedArm(Life):
 
     # --- what faults need
 
+    def moves(self) -> bool:
+        """Whether frames under way may switch something."""
+        master = self.running
+        return master is not None and bool(master.committing or master.collecting or master.leaving or master.booting)
+
+    def ignored(self, bus: str) -> int:
+        """Returns how many frames of a bus the master has not understood; 0 without a master."""
+        buses = self.running.status().buses if self.running is not None else ()
+        return sum(status.ignored for status in buses if status.name == bus)
+
     def waits(self, name: str) -> bool:
         """Returns whether a board switches with SYNC."""
         return all(self.looks[name].number(index, 2) < AT_ONCE for index in self.rpdos(name))

@@ -21,6 +21,7 @@ from tests.simulation.verdict import require
 MOST_REFUSALS = 2  # boots of one arm that end without all boards
 KEPT = 0.25  # [s] for which nothing else may be told
 PROBES, BACK = 0.5, 3.0  # [s] between two questions to lost boards; until a mended board is heard
+ROUNDS = ("fault",) * 10 + ("boot at once", "next executor") + ("use", "disturbed boot", "trouble") * 2
 ALONE = ("bus", "board", "executor")
 
 
@@ -56,42 +57,46 @@ class BoardWorld:
         self.arm = UsedArm(drawn, self.agenda, self.random, self._left, self.note)
 
     def _live(self) -> None:
-        """Boots the boards of one arm some times, uses them, and causes faults."""
+        """Boots the boards of one arm, uses them, and causes faults."""
         arm, random, refusals = self.arm, self.random, 0
         arm.pass_time(random.choice([0.02, 0.02, 0.4]))
         if random.random() < 0.3:
             arm.change()
         arm.boot(new=True)
-        for _ in range(random.choice([2, 3, 4])):
-            if not arm.ready:
+        for _ in range(random.choice([2, 4, 6])):
+            if arm.ready:
+                self._round(random.choice(ROUNDS))
+            elif refusals + 1 < MOST_REFUSALS:
                 refusals += 1
-                if refusals == MOST_REFUSALS:
-                    return
                 arm.repair()
                 arm.boot(new=random.random() < 0.7)
-                continue
-            arm.use()
-            for _ in range(random.choice([1, 2, 3, 4])):
-                if arm.ready:
-                    self._fault()
-            if arm.ready:
-                self._go_on(random.random())
 
-    def _go_on(self, drawn: float) -> None:
-        arm, random = self.arm, self.random
-        if drawn < 0.05:
-            arm.made["boot: at once"] += 1
-            arm.boot(new=random.random() < 0.5)
-        elif drawn < 0.35:
-            arm.die()
-            arm.change()
-            if random.random() < 0.3:  # perhaps the boards notice only now
-                arm.lose_master(0.0)
-            arm.boot(new=True)
-        elif drawn < 0.65:
-            disturb_boot(arm, self._beside)
-        elif drawn < 0.95:
-            self._trouble()
+    def _round(self, kind: str) -> None:
+        arm = self.arm
+        arm.made[kind] += 1
+        match kind:
+            case "fault":
+                if self.random.random() < 0.5:
+                    arm.use()
+                self._fault()
+            case "use":
+                arm.use()
+            case "boot at once":
+                arm.boot(new=self.random.random() < 0.5)
+            case "next executor":
+                self._change_executor(0.5)
+                arm.boot(new=True)
+            case "disturbed boot":
+                disturb_boot(arm, self._beside)
+            case "trouble":
+                self._trouble()
+
+    def _change_executor(self, late: float) -> None:
+        """The executor ends, and something is left on boards; `late`: share of the boards that notice only now."""
+        self.arm.die()
+        self.arm.change()
+        if self.random.random() < late:
+            self.arm.lose_master(0.0)
 
     # --- faults
 
@@ -115,7 +120,8 @@ class BoardWorld:
             arm.pass_time(told.within)
             self._hear(row, told, heard, began)
         if not told.also:
-            self._judge_known(row, told)
+            arm.see("knows", told.lost, row.name)
+            require(not (told.clears and told.lost and arm.master.back), f"{row.name} lasts, and all is told as back")
         fault.check()
         for _ in range(5):
             arm.pass_time(KEPT / 5)
@@ -145,22 +151,6 @@ class BoardWorld:
                 require(after >= told.least, f"{row.name} is told after {after:g} s")
         return any(one.code in told.codes for one in heard)
 
-    def _judge_known(self, row: Row, told: Told) -> None:
-        arm, master = self.arm, self.arm.master
-        known = master.outputs_known
-        require(known == (not told.lost), f"{row.name}: outputs_known is {known}, lost are {told.lost}")
-        require(not (told.clears and told.lost and master.back), f"{row.name} lasts, and all is told as back")
-        inputs = actuators = 0
-        for board in arm.judged.boards.values():
-            if board.name in told.lost:
-                actuators |= board.actuators
-            else:
-                inputs |= board.input_lines
-        known = arm.judged.actuators & ~actuators
-        require(master.known == known, f"{row.name}: {master.known:b} are known, {known:b} have all boards")
-        require(master.inputs_known == inputs, f"{row.name}: inputs {master.inputs_known:b} are known, {inputs:b} are")
-        require(not master.ends & ~inputs, f"{row.name}: inputs {master.ends:b} are told, {inputs:b} are known")
-
     def _come_back(self, row: Row, told: Told) -> None:
         arm, master = self.arm, self.arm.master
         until = arm.now + BACK
@@ -186,9 +176,7 @@ class BoardWorld:
         master.drain_faults()
         master.drain_switched()
         if self.random.random() < 0.3:
-            arm.die()
-            arm.change()
-            arm.lose_master(0.0)  # a board may wait less for heartbeats now
+            self._change_executor(1.0)  # a board may wait less for heartbeats now
         arm.boot(new=self.random.random() < 0.3)
 
     def _trouble(self) -> None:
