@@ -119,20 +119,12 @@ def _lose_RPDO(command: Command) -> int:
     return 0
 
 
-def _command_the_present_states(command: Command) -> int:
-    arm, sent = command.arm, command.arm.handed_out
-    arm.commit(command.before)
-    require(not arm.master.committing and arm.handed_out == sent, "a command that changes nothing sends frames")
-    return 0
-
-
 DISTURBANCES = {
     "command is given up": Disturbance(_give_up, None, waits=False),
     "command is given up after its SYNC": Disturbance(_give_up_too_late),
     "command during a command": Disturbance(_command_again, waits=False),
     "command while an older frame waits": Disturbance(_command_while_an_older_frame_waits, None),
     "RPDO is not sent": Disturbance(_lose_RPDO, True),
-    "command of the present states": Disturbance(_command_the_present_states, waits=False),
 }
 
 

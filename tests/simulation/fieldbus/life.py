@@ -13,7 +13,6 @@ from hyperbit.drivers.canopen.wire.events import Event, FrameEchoed
 from tests.simulation.agenda import Agenda
 from tests.simulation.facts import Switch
 from tests.simulation.faults.fault import Deck, Fault, Told
-from tests.simulation.faults.sight import Sight
 from tests.simulation.fieldbus.arms import Drawn
 from tests.simulation.fieldbus.boots import BootsAreSound
 from tests.simulation.fieldbus.site import Site
@@ -57,7 +56,6 @@ class Life(Site):
         self.note, self._pins, self.handed_out = note, dict[str, int](), 0
         super().__init__(drawn.wiring, drawn.timing, drawn.variants, agenda, random)
         self.drawn, self.random, self.made = drawn, random, Counter[str]()
-        self.sight = Sight(self.wiring, self.timing, self.boards, self.variants)
         self.judged, self.looks, self.world = self.sight.wiring, self.sight.looks, self
         account: Any = self
         self.objects, self.boots = BoardObjects(account), BootsAreSound(self)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from random import Random
 
 from hyperbit.drivers.canopen.run.master import Master
@@ -15,6 +16,7 @@ from hyperbit.drivers.simulation.variants import Variant
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.boards import AttachedBoards
 from tests.simulation.buses.bus_model import BusModel, OnItsWay
+from tests.simulation.faults.sight import Sight
 
 TICK = 0.01  # [s] between two calls of the master
 TOOL = "tool"  # cause of a change of pins by another program
@@ -54,6 +56,10 @@ class Site:
         self.boards = SeenBoards(wiring, timing, variants, agenda, self.from_board)
         self.boards.site = self
         agenda.after(TICK, self._tick)
+
+    @cached_property
+    def sight(self) -> Sight:
+        return Sight(self.wiring, self.timing, self.boards, self.variants)
 
     @property
     def now(self) -> float:
@@ -160,6 +166,11 @@ class Site:
         """Another program commands a board, unheard by the master."""
         bus, node = name.split("/")
         self.boards.receive(bus, Frame(cia301.NMT, bytes([command, int(node)])), TOOL)
+
+    def moves(self) -> bool:
+        """Whether frames under way may switch something."""
+        master = self.running
+        return master is not None and bool(master.committing or master.collecting or master.leaving or master.booting)
 
     def pass_time(self, seconds: float) -> None:
         self.agenda.run(seconds)

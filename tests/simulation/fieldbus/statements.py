@@ -82,6 +82,36 @@ class SyncsWaitForAllRpdos(OfBoards):
         self._waiting.discard((bus, frame.id))
 
 
+class RpdosAreNeeded(OfBoards):
+    """While nothing disturbs the arm, an RPDO that a command has sent leaves again only if it switches an output."""
+
+    number = 1
+
+    def __init__(self, life: Life) -> None:
+        super().__init__(life)
+        self._known: set[tuple[str, int]] = set()
+        self._sent: set[tuple[str, int]] = set()
+
+    def begins(self) -> None:
+        self._known.clear()
+
+    def readies(self) -> None:
+        self._known.clear()
+
+    def commands(self) -> None:
+        self._sent.clear()
+
+    def sends(self, bus: str, frame: Frame) -> None:
+        if frame.id in RPDOS:
+            self._sent.add((bus, frame.id))
+
+    def switched(self, changed: int) -> None:
+        for bus, cob_id in sorted(self._sent & self._known):
+            lines = self.life.lines_of(bus, cob_id)
+            self.require(lines & changed, f"{bus}: RPDO {cob_id:03X}h of {lines:b} for a switch of {changed:b}")
+        self._known |= self._sent
+
+
 class ReadyBoardsAreOnlyRead(OfBoards):
     """While all boards are ready, they get no NMT command and no write; while they boot, no RPDO and no SYNC."""
 
@@ -210,6 +240,7 @@ EVERY: tuple[type[OfBoards], ...] = (
     PinsHaveACause,
     NoCoilComesOnBesideTheOther,
     SyncsWaitForAllRpdos,
+    RpdosAreNeeded,
     ReadyBoardsAreOnlyRead,
     MasterIsHeard,
     OutputsWereRead,

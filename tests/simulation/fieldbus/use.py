@@ -9,6 +9,7 @@ from tests.simulation.statements.objects import LIVE, TIMES
 from tests.simulation.verdict import require
 
 COMMITTED = 0.6  # [s] until a command must be over
+READ_AT_ONCE = 0.15  # [s] until outputs without end-stops, and those of ended pulses, are read back
 LATE = 0.004  # [s] from a change of pins until the master tells it
 AT_ONCE = 254  # first transmission type of an RPDO that does not wait for SYNC
 
@@ -23,6 +24,9 @@ class UsedArm(Life):
             self.pass_time(self.random.choice([0.03, 0.1]))
         self.release_pulses()
         self.settle()
+        sent = self.handed_out
+        self.commit(self.driven())
+        require(not self.moves() and self.handed_out == sent, "a command that changes nothing sends frames")
         require(not self.master.drain_faults(), "faults without a cause")
 
     def drawn_states(self) -> int:
@@ -39,13 +43,15 @@ class UsedArm(Life):
         changed = self.driven() ^ states
         self._send(states, states, "switches")
         if self.random.random() < 0.7:
-            self.wait(lambda: not self.master.unread, COMMITTED + self.sight.slack, "read back")
+            master = self.master
+            self.wait(lambda: not master.unread | master.released, READ_AT_ONCE + self.sight.slack, "read back")
         self.see("switched", changed)
 
     def release_pulses(self) -> None:
         if on := self.driven() & self.judged.pulsed:
             self._send(~on & self.judged.lines, self.driven() & ~on, "releases")
-            self.wait(lambda: not self.master.released, COMMITTED + self.sight.slack, "read back off")
+            self.wait(lambda: not self.master.released, READ_AT_ONCE + self.sight.slack, "read back off")
+            self.see("switched", on)
 
     def _send(self, states: int, after: int, what: str) -> None:
         """Gives a command, and requires that it switches all at once, tells when, and changes nothing else."""
@@ -92,11 +98,6 @@ class UsedArm(Life):
 
     # --- what faults need
 
-    def moves(self) -> bool:
-        """Whether frames under way may switch something."""
-        master = self.running
-        return master is not None and bool(master.committing or master.collecting or master.leaving or master.booting)
-
     def ignored(self, bus: str) -> int:
         """Returns how many frames of a bus the master has not understood; 0 without a master."""
         buses = self.running.status().buses if self.running is not None else ()
@@ -111,6 +112,16 @@ class UsedArm(Life):
         board, look = self.judged.boards[name], self.looks[name]
         here = [index for index in range(0x1400, 0x1440) if look.has(index, 1) and not look.number(index, 1) & INVALID]
         return [index for index in here if bits_in(look.mapping(index), board.base) & board.used]
+
+    def lines_of(self, bus: str, cob_id: int) -> int:
+        """Returns the mask of the lines that an RPDO of a bus carries."""
+        lines = 0
+        for name, board in self.judged.boards.items():
+            look = self.looks[name]
+            taken = [i for i in self.rpdos(name) if board.bus == bus and look.number(i, 1) & 0x7FF == cob_id]
+            bits = sum(bits_in(look.mapping(index), board.base) for index in taken)
+            lines |= sum(wire.line for wire in board.outputs if bits >> wire.bit & 1)
+        return lines
 
     def lines_on(self, bus: str) -> int:
         return sum(board.lines for board in self.judged.boards.values() if board.bus == bus)

@@ -21,7 +21,9 @@ from tests.simulation.verdict import require
 MOST_REFUSALS = 2  # boots of one arm that end without all boards
 KEPT = 0.25  # [s] for which nothing else may be told
 PROBES, BACK = 0.5, 3.0  # [s] between two questions to lost boards; until a mended board is heard
-ROUNDS = ("fault",) * 10 + ("boot at once", "next executor") + ("use", "disturbed boot", "trouble") * 2
+ROUNDS = (
+    ("fault",) * 8 + ("command",) * 5 + ("boot at once", "next executor") + ("use", "disturbed boot", "trouble") * 2
+)
 ALONE = ("bus", "board", "executor")
 
 
@@ -34,7 +36,8 @@ class BoardWorld:
         self.events: deque[tuple[float, object]] = deque(maxlen=remembered)
         self._made: Counter[str] = Counter()
         alone = rows(*ALONE)
-        self._alone = Deck(alone + list(commands.ROWS), self.random, seed)
+        self._alone = Deck(alone, self.random, seed)
+        self._commands = Deck(commands.ROWS, self.random, seed)
         self._beside = Deck([row for row in alone if row.anytime], self.random, seed)
         self._left = Deck(rows("left"), self.random, seed)
         self._arrive()
@@ -63,7 +66,7 @@ class BoardWorld:
         if random.random() < 0.3:
             arm.change()
         arm.boot(new=True)
-        for _ in range(random.choice([2, 4, 6])):
+        for _ in range(random.choice([3, 6, 9])):
             if arm.ready:
                 self._round(random.choice(ROUNDS))
             elif refusals + 1 < MOST_REFUSALS:
@@ -78,7 +81,9 @@ class BoardWorld:
             case "fault":
                 if self.random.random() < 0.5:
                     arm.use()
-                self._fault()
+                self._fault(self._alone)
+            case "command":
+                self._fault(self._commands)
             case "use":
                 arm.use()
             case "boot at once":
@@ -100,9 +105,9 @@ class BoardWorld:
 
     # --- faults
 
-    def _fault(self) -> None:
-        """Causes one fault, judges what is told, ends it, and boots the boards again."""
-        drawn = self._alone.draw(self.arm, alone=True)
+    def _fault(self, deck: Deck) -> None:
+        """Causes one fault of a deck, judges what is told, ends it, and boots the boards again."""
+        drawn = deck.draw(self.arm, alone=True)
         if drawn is None:
             return
         (row, fault), arm = drawn, self.arm
@@ -221,7 +226,8 @@ class BoardWorld:
         return self._made + made + self.arm.statements.counts()
 
     def counts(self) -> Counter[str]:
-        return self.counted() + Counter({f"fieldbus: fault: {name}": n for name, n in self._alone.made.items()})
+        made = self._alone.made + self._commands.made
+        return self.counted() + Counter({f"fieldbus: fault: {name}": count for name, count in made.items()})
 
     def note(self, event: object) -> None:
         self.events.append((self.agenda.now, event))
