@@ -132,11 +132,13 @@ def may_have_switched(board: JudgedBoard, found: Found, sub: int) -> tuple[int, 
 
 def outcomes(board: JudgedBoard, found: Found) -> set[str]:
     """Returns what may become of a board: codes of faults, and "ready"."""
-    if found.state is None or (found.state == STOPPED and not found.tells):
+    if found.state is None:
         return {"board-missing"}
     codes = set[str]()
     if _is_another_device(board, found) or _cannot_be_made_safe(board, found):
         codes.add("wrong-device")
+    if found.state == STOPPED and not found.tells:  # a board may answer polls also without the objects for them
+        return codes | {"board-missing"}
     needs = needs_of(board, found.has)
     wrong = [place for place, (value, mask) in needs.items() if (found.byte(*place) ^ value) & mask]
     if found.refused or not found.writable.issuperset(wrong):
