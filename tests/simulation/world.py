@@ -123,7 +123,7 @@ class World(StruckWorld):
                 if self.daemon is None:
                     self._scripted_round(self._random.choice(ROUNDS))
                 else:
-                    self._whole_round()
+                    self._whole_round(self.daemon)
         except StepsAreOver:
             self.agenda.end = math.inf
 
@@ -138,8 +138,12 @@ class World(StruckWorld):
         else:
             self._trouble(6.0)
 
-    def _whole_round(self) -> None:
+    def _whole_round(self, daemon: Daemon) -> None:
+        """Lets clients ask, and the planner die at one of their goals; trouble follows. In peace there is neither."""
         self.planner.be_calm(False)
+        if not self._peaceful:
+            self.disturb()
+            daemon.die()
         self.pass_time(self._random.uniform(0.5, 3.0))
         if self._random.random() < WHOLE_TROUBLED and not self._peaceful:
             self._trouble(8.0)

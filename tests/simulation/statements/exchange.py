@@ -198,8 +198,14 @@ class Exchange(Witness):
         self.account.see("ends_in_order")
 
     def ran_of(self, payload: Payload) -> Ran | None:
-        """Returns the program of a result: the oldest of its id that has ended or is lost, and has none."""
+        """Returns the program of a result: the oldest of its id that has ended or is lost, and has none.
+
+        A repeated result is that of a program with the same result, if there is one.
+        """
         every = self.ran(payload["id"])
+        same = [ran for ran in every if {**payload, "repeated": None} in [{**r, "repeated": None} for r in ran.results]]
+        if payload.get("repeated") and same:
+            return same[-1]
         without = [ran for ran in every if not ran.results and not ran.given_up]
         if payload["status"] != "lost":
             without.sort(key=lambda ran: ran.ended is None)

@@ -16,7 +16,6 @@ from tests.simulation.statements.results import OfTheArm
 from tests.simulation.whole.configurations import Disc
 
 LATE = 0.1  # [s], awake: 20 states a second, and the outbox
-STAMPED_WITHIN = 0.03  # [s] between a state and its publication
 BIAS_WITHIN = 2e-4  # from the tracker's offset
 OWN = {"degraded", "unknown-state", "in-obstacle", "executor-lost", "internal-error"}  # faults of the planner
 SHELL = {"clock-set", "certificate-ends", "network-lost", "ledger-unwritten"}

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 ACTS = {
     **{"goal": 40, "jog": 15, "plan": 6, "cancel": 3, "cancel goal": 4, "stop": 0.5, "reset": 2, "degrade": 3},
-    **{"obstacles": 6, "arm": 2, "stream": 6, "tip": 10, "garbage": 2, "repeat": 6, "many goals": 0.5, "wait": 10},
-    **{"poses": 2.0, "again": 3.0, "flood": 0.15, "crowd": 0.4, "many arms": 0.03},
-    **{"burst": 8, "result": 3, "vanish": 1, "same id": 1.5, "many plans": 0.3, "fault": 2.0},
+    **{"obstacles": 6, "arm": 2, "stream": 6, "tip": 10, "garbage": 1, "repeat": 6, "many goals": 0.5, "wait": 10},
+    **{"poses": 2.0, "again": 3.0, "flood": 0.08, "crowd": 0.4, "many arms": 0.03},
+    **{"burst": 5, "result": 3, "vanish": 1, "same id": 1.5, "many plans": 0.3, "fault": 2.0},
 }
-ASIDE = {"arm": 4, "plan": 3, "poses": 2, "result": 2, "tip": 5, "garbage": 1}  # while the clients wait for a motion
+ASIDE = {"arm": 4, "plan": 3, "poses": 2, "result": 2, "tip": 5, "garbage": 0.3}  # while the clients wait for a motion
 BURSTS = (
     ("reset", "stop"),
     ("stop", "reset", "goal"),
@@ -61,11 +61,10 @@ OUT_OF_CONFIGURATION = {"degrade": 1, "jog": 2, "any": 4}  # if it is in no conf
 HOMING = {"obstacles": 5, "goal": 5, "jog": 2, "any": 5}  # if the next goal homes an actuator
 WITHOUT_EXECUTOR = {"stop": 2, "cancel": 2, "reset": 1, "degrade": 1}
 RUSH = ("plan", "plan", "plan", "goal", "jog", "obstacles", "degrade", "reset", "arm")
-PATIENT = 0.6  # share of what is asked for meanwhile, if the arm takes no goals
+PATIENT = 0.85  # share of what is asked for meanwhile, if the arm takes no goals
 UNDISTURBED = 0.7  # share of the streams that nobody disturbs
 STANDING = 0.3  # share of the streams whose target stands still
 PAUSE = 0.4  # [s] after a stream that nobody disturbs
-LONG_AGO = 9.0  # [s]
 AWAY = 2.0  # [s], longest time for which a client is away
 MOTION = 0.15  # [s], mean time between a motion and its obstacles
 
@@ -129,12 +128,7 @@ class Clients:
 
     def _send_again(self) -> None:
         """Sends a goal that has ended again, as a client does that has its goals in a file."""
-        results = self._daemon.results
-        old = [
-            sent
-            for sent in self._goals
-            if sent.at < self._agenda.now - LONG_AGO or body_of(sent.payload).get("id") in results
-        ]
+        old = [sent for sent in self._goals if body_of(sent.payload).get("id") in self._daemon.results]
         if old:
             self.ask("goal", self._random.choice(old).payload)
 
@@ -167,6 +161,8 @@ class Clients:
         if mode not in ("ready", "executing") and random.random() < PATIENT:
             return self._one_of(ASIDE)
         act = "any"
+        if "in-obstacle" in codes and random.random() < 0.5:
+            return "obstacles"
         if mode == "ready":
             homing = HOMING if "unknown-position" in codes else AT_REST
             act = self._one_of(OUT_OF_CONFIGURATION if "unknown-state" in codes else homing)
@@ -249,14 +245,16 @@ class Clients:
                 for _ in range(130):
                     self.ask("arm", b"")
             case "result":
-                self.ask("result", {"id": f"g{max(self.wishes.numbers - random.choice([0, 1, 2, 5]), 0)}"})
+                ended = [name for name in self._daemon.results if name is not None][-5:]
+                last = f"g{max(self.wishes.numbers - random.choice([0, 1, 2, 5]), 0)}"
+                self.ask("result", {"id": random.choice(ended) if ended and random.random() < 0.8 else last})
             case "cancel goal":
                 back = random.choice([0, 0, 0, 1, 2])
                 self.ask("cancel", {"id": f"g{max(self.wishes.numbers - back, 0)}"})
             case "degrade":
                 self.ask("degrade", self.wishes.lock())
             case "obstacles":
-                self.ask("obstacles", {"regions": self.wishes.regions()})
+                self._change_obstacles()
             case "stream":
                 self._streams_until = self._agenda.now + random.uniform(0.1, 3.0)
                 self._stream(random.choice([0.01, 0.03, 0.2]))
@@ -275,7 +273,7 @@ class Clients:
                 self._daemon.zenoh.gone.add(client)
                 self._agenda.after(random.uniform(0.0, AWAY), lambda: self._return(client))
             case "many goals" | "many plans":
-                for _ in range(20 if act == "many goals" else 10):
+                for _ in range({"many goals": 20, "many plans": 10}[act]):
                     self.ask(act[5:-1], self.wishes.goal())
 
     def _return(self, client: int) -> None:
@@ -296,7 +294,6 @@ class Clients:
 
     def _change_obstacles(self) -> None:
         if not self.calm:
-            self._client = self._random.randrange(CLIENTS)
             self.ask("obstacles", {"regions": self.wishes.regions()})
 
     def _stream(self, period: float) -> None:
@@ -337,7 +334,8 @@ class Clients:
         if snapshot is None or state is None or daemon.process is None or waiting("reset", "degrade"):
             return
         free = unpack(snapshot.locked) & ~daemon.executed.locked
-        if daemon.exchange.confirmed and not waiting("obstacles"):
+        told = any(fault["code"] == "in-obstacle" for fault in state["faults"])
+        if daemon.exchange.confirmed and (told or not daemon.wanted) and not waiting("obstacles"):
             self.ask("obstacles", {"regions": []})
         if state["mode"] in ("fault", "stopped"):
             self.ask("reset")

@@ -39,6 +39,7 @@ from tests.simulation.whole.zenoh_model import LATENCY, TRANSMITTED, Sent, Zenoh
 OFFSET = 4e-4  # of measured tips from computed ones; less than the tolerance
 LOOKS = 1e-3, 5e-3  # [s] that the first look at the clock in a task counts
 SIZES = None, None, ListSizes(4, 8, 16, 4, 4, 64), ListSizes(16, 32, 64, 16, 16, 256)  # None: the arm is listed whole
+MARKS = 5  # two goals have six: of acceptances, of published results, and of recorded ones
 STANDSTILL = 1.0  # [s] of a halt, after which results may wait for clients to reconnect
 COUNTED_WITHIN = 0.5  # [s] from the executor's counts to the ledger
 
@@ -213,10 +214,10 @@ class Daemon:
 
     def die(self) -> None:
         """Kills the process soon, perhaps in the middle of a step, or while a result is published or recorded."""
-        if self.process is not None and self._random.random() < 0.5:
+        if self.process is not None and self._random.random() < 0.3:
             self.process.kill_after(self._random.choice([0, 1, 2, 3, 5, 10, 30]))
         elif self.process is not None:
-            self._die_at_mark(self.process, self._random.choice([0, 1, 2, 3]))
+            self._die_at_mark(self.process, self._random.randrange(MARKS))
 
     def _die_at_mark(self, process: PlannerProcess, left: int) -> None:
         """Kills a process at the next mark or record, or after `left` further ones."""
@@ -226,7 +227,9 @@ class Daemon:
                 self._die_at_mark(process, left - 1)
             else:
                 process.marked = lambda: None
-                self.agenda.after(self._random.choice([0.0, 1.5 * TRANSMITTED]) * self._random.random(), process.kill)
+                self.agenda.after(
+                    self._random.choice([0.0, 0.0, 1.5 * TRANSMITTED]) * self._random.random(), process.kill
+                )
 
         process.marked = marked
 

@@ -36,12 +36,13 @@ class Wishes:
         self._willing = random.random() < WILLING
         self.numbers += 1
         time, waypoints = random.choice([0.0, 0.0, 0.5]), list[dict[str, Any]]()
-        for _ in range(random.choice([1, 1, 2, 3, 5])):
+        for _ in range(random.choice([1, 1, 1, 2, 2, 3, 5])):
             waypoints.append({"position": self.position(0.2), "t": time})
             if random.random() < 0.15:
                 row = self._daemon.space.notations[random.choice(self._chosen())]
                 waypoints[-1] = {"configuration": row, "t": time}
-            time += pace.shortest * random.choice([3.0, 4.0] if self._willing else [1.0, 2.0, 4.0, len(self._labels)])
+            enough = max(pace.needed(len(self._labels)), 3 * pace.shortest)
+            time += enough if self._willing else pace.shortest * random.choice([1.0, 2.0, 4.0])
         message: dict[str, Any] = {"waypoints": waypoints}
         if random.random() < 0.12:
             self._follow_lines(message)
@@ -137,15 +138,17 @@ class Wishes:
     def _chosen(self) -> Sequence[int]:
         """Returns the configurations for waypoints: those that can be reached, or all of them.
 
-        Among obstacles a long way is often blocked: only near ones are drawn then.
+        Among obstacles a long way is often blocked: then most are near, and the stage there is clear.
         """
-        every, exchange, snapshot = range(len(self._daemon.space.tips)), self._daemon.exchange, self._daemon.snapshot
+        space, discs, snapshot = self._daemon.space, self._daemon.exchange.possible, self._daemon.snapshot
+        every = range(len(space.tips))
         if not self._willing or snapshot is None or not (reachable := self._reachable()):
             return every
-        if not exchange.possible or self._random.random() < 0.2:
+        if not discs or self._random.random() < 0.2:
             return reachable
-        start, codes = states_from(snapshot), self._daemon.space.codes
-        return [k for k in reachable if (int(codes[k]) ^ start).bit_count() <= NEAR] or reachable
+        start = states_from(snapshot)
+        near = [(k, code) for k in reachable if ((code := int(space.codes[k])) ^ start).bit_count() <= NEAR]
+        return [k for k, code in near if not any(space.touched(disc, start, code) for disc in discs)] or reachable
 
     def _reachable(self) -> list[int]:
         """Returns the configurations to which the arm can go now, with its locks and among the obstacles."""
@@ -199,7 +202,7 @@ class Wishes:
 
     def _disc(self) -> Disc:
         random, space, snapshot = self._random, self._daemon.space, self._daemon.snapshot
-        touches, tries = snapshot is None or random.random() < 0.1, 0
+        touches, tries = snapshot is None or random.random() < 0.04, 0
         while True:
             row, tries = random.choice(space.joints), tries + 1
             k, share, radius = random.randrange(len(row) - 1), random.random(), random.choice([0.01, 0.02, 0.05, 0.2])
@@ -212,6 +215,6 @@ class Wishes:
         random = self._random
         name = random.choice([*POSES, "home"]) if random.random() < 0.9 else random.choice(["", " a", "x" * 41, "a/b"])
         goal = {key: value for key, value in self.simple_goal().items() if key != "id"}
-        goal |= random.choice([{}] * 8 + [{"id": "p"}, {"stamp": 5.0}, {"waypoints": []}])
-        message = random.choice([{"save": name, "goal": goal}] * 4 + [{"remove": name}] * 4)
-        return message if random.random() < 0.9 else random.choice([{"save": name}, {"goal": goal}, {}, {"remove": 5}])
+        goal |= random.choice([{}] * 20 + [{"id": "p"}, {"stamp": 5.0}, {"waypoints": []}])
+        message = random.choice([{"save": name, "goal": goal}] * 3 + [{"remove": name}])
+        return message if random.random() < 0.95 else random.choice([{"save": name}, {"goal": goal}, {}, {"remove": 5}])
