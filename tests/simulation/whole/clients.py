@@ -47,7 +47,6 @@ BURSTS = (
 NAMES = {"stop": ("hyperbit/*/stop", "**/hyperbit/*/stop"), "cancel": ("hyperbit/*/cancel",)}
 DESCRIPTIONS = (
     b'{"with": ["running"]}',
-    b'{"with": ["running"]}',
     b"",
     b'{"with": ["drawing"]}',
     b"\xff",
