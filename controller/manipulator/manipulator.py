@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hyperbit.controller.armfile.locks import STATES
-from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.frames import Frame
 from hyperbit.controller.manipulator.module import Module
 
@@ -61,10 +60,14 @@ class Manipulator:
 
     def tips(self, configurations: ArrayLike) -> Frame:
         """Returns the tip frames (n, 4, 4) of configurations (n, B)."""
+        from hyperbit.controller.manipulator.frame_kernels import tips  # programs that only draw do without numba
+
         return np.asarray(tips(self.base, self.frames, np.require(configurations, np.int64, ("C", "W"))))
 
     def tip(self, configuration: ArrayLike) -> Frame:
         """Returns the tip frame (4, 4) of one configuration (B,)."""
+        from hyperbit.controller.manipulator.frame_kernels import tip
+
         return np.asarray(tip(self.base, self.frames, np.require(configuration, np.int64, ("C", "W"))))
 
     def chain(self, configuration: ArrayLike) -> Frame:
@@ -139,30 +142,3 @@ def excluded(module: Module, states: NDArray[np.generic]) -> str:
     alone = [not (module.bits[:, k] == state).any() for k, state in enumerate(states)]  # no state has it: it is locked
     named = zip(module.actuators, states, alone, strict=True)
     return " and ".join(f"{name} is {STATES[bool(state)]}" for name, state, odd in named if odd or not any(alone))
-
-
-@kernel("f8[:,::1](f8[:,::1], f8[:,:,:,::1], i8[:])", boundscheck=True)
-def tip(base: Frame, frames: Frame, configuration: Configuration) -> Frame:
-    """Returns the tip frame (4, 4) of a configuration (B,) from the base (4, 4) and the frames (B, Kmax, 4, 4)."""
-    frame, following = base.copy(), np.empty((4, 4))
-    for i in range(len(frames)):
-        for a in range(4):
-            for b in range(4):
-                total = 0.0
-                for c in range(4):
-                    total += frame[a, c] * frames[i, configuration[i], c, b]
-                following[a, b] = total
-        frame, following = following, frame
-    return frame
-
-
-@kernel("f8[:,:,::1](f8[:,::1], f8[:,:,:,::1], i8[:,::1])", boundscheck=True)
-def tips(base: Frame, frames: Frame, configurations: NDArray[np.int64]) -> Frame:
-    """Returns the tip frames (n, 4, 4) of configurations (n, B), see tip."""
-    result = np.empty((len(configurations), 4, 4))
-    for n in range(len(configurations)):
-        frame = tip(base, frames, configurations[n])
-        for a in range(4):
-            for b in range(4):
-                result[n, a, b] = frame[a, b]
-    return result

@@ -5,16 +5,14 @@ A configuration is a row of digits, base first. Numbers with commas are used if 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.manipulator.frames import Frame
-
-if TYPE_CHECKING:  # its kernel takes a second to import
-    from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 
 
 def parse_configuration(manipulator: Manipulator, text: str) -> Configuration:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.host.kernel import kernel
 from hyperbit.controller.manipulator.frame_kernels import angle_between
+from hyperbit.controller.manipulator.frame_kernels import tip as tip_of
 from hyperbit.controller.manipulator.frames import Frame
 from hyperbit.controller.manipulator.kernel_types import F2, F4, I1, named
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
-from hyperbit.controller.manipulator.manipulator import tip as tip_of
 from hyperbit.controller.obstacles.scene import Scene
 
 Array = NDArray[np.float64]

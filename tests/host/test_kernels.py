@@ -31,7 +31,7 @@ WITHOUT = (  # what the planner's core and clients use
     *("hyperbit.controller.motion.decoding.goal", "hyperbit.controller.motion.decoding.setpoint"),
     *(f"hyperbit.controller.motion.stages.{name}" for name in ("feed", "program")),
     *("hyperbit.controller.motion.tracking.bias", "hyperbit.controller.motion.tracking.tracking"),
-    "hyperbit.controller.planning.core.core",
+    *("hyperbit.controller.planning.core.core", "hyperbit.controller.panel.serve"),
 )
 
 

@@ -8,9 +8,9 @@ from numba import boolean, float64, int64
 from numpy.typing import ArrayLike, NDArray
 
 from hyperbit.controller.host.kernel import kernel
+from hyperbit.controller.manipulator.frame_kernels import tip as tip_of
 from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, F4, I1, I2, UNCOUNTED, named
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
-from hyperbit.controller.manipulator.manipulator import tip as tip_of
 from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
 from hyperbit.controller.search.lists.segment import compose, motions
 from hyperbit.controller.search.method import costs_between_states
