@@ -88,11 +88,16 @@ class Mechanics:
 
         return [{code for code, tip in self.tips.items() if serves(w, tip)} for w in request.body["waypoints"]]
 
-    def least(self, start: int, locked: int, discs: frozenset[Disc], wanted: list[set[int]]) -> float:
-        """Returns the least cost from a state through a code of each set, in order; infinite if there is no way."""
+    def least(
+        self, start: int, locked: int, discs: frozenset[Disc], wanted: list[set[int]], between: bool = False
+    ) -> float:
+        """Returns the least cost from a state through a code of each set, in order; infinite if there is no way.
+
+        `between`: also through states that are no configurations.
+        """
         if start not in self.space.index:
             return math.inf
-        graph = self.space.graph(locked, start, tuple(sorted(discs)))
+        graph = self.space.graph(locked, start, tuple(sorted(discs)), between)
         sets = [np.isin(self.space.codes, list(codes)) for codes in wanted]
         return self.space.optimum(graph, self.space.index[start], sets)
 

@@ -333,14 +333,14 @@ class Clients:
         if snapshot is None or state is None or daemon.process is None or waiting("reset", "degrade"):
             return
         free = unpack(snapshot.locked) & ~daemon.executed.locked
-        told = any(fault["code"] == "in-obstacle" for fault in state["faults"])
-        if daemon.exchange.confirmed and (told or not daemon.wanted) and not waiting("obstacles"):
+        told = {"in-obstacle", "degraded"} & {fault["code"] for fault in state["faults"]} or not daemon.wanted
+        if daemon.exchange.confirmed and told and not waiting("obstacles"):
             self.ask("obstacles", {"regions": []})
         if state["mode"] in ("fault", "stopped"):
             self.ask("reset")
         elif state["mode"] == "executing" and not daemon.wanted:
             self.ask("cancel")
-        elif state["mode"] == "ready" and free:
+        elif state["mode"] == "ready" and free and told:
             self.ask("degrade", {"actuator": self._labels[(free & -free).bit_length() - 1], "state": None})
         elif (start := states_from(snapshot)) not in daemon.space.index and not waiting("jog"):
             locked = unpack(snapshot.locked)

@@ -71,7 +71,7 @@ class Configurations:
         differ = self.codes[:, None] ^ self.codes
         apart = sum(differ >> k & 1 for k in range(len(weights)))
         costs = sum((differ >> k & 1) * weight for k, weight in enumerate(weights))
-        self._costs = np.where(apart <= most, costs, np.inf)
+        self._costs, self._apart = np.where(apart <= most, costs, np.inf), costs
         self._graphs: dict[object, Graph] = {}
         self._touching: dict[Disc, NDArray[np.bool_]] = {}
 
@@ -95,19 +95,21 @@ class Configurations:
             self._touching[disc] = (away <= disc.radius + self._body).any(axis=1)
         return self._touching[disc]
 
-    def graph(self, locked: int, states: int, discs: tuple[Disc, ...]) -> Graph:
+    def graph(self, locked: int, states: int, discs: tuple[Disc, ...], between: bool = False) -> Graph:
         """Returns the graph of the configurations with locked actuators that touch no obstacle.
 
         A stage may pass a configuration that does: the cheapest way of the arm costs as much as in this graph, or more.
+        `between`: several stages may lead from one to the next, through states that are no configurations.
         """
-        key = locked, states & locked, discs
+        key = locked, states & locked, discs, between
         if key not in self._graphs:
             if len(self._graphs) > 8:
                 self._graphs.clear()
             permitted = (self.codes ^ states) & locked == 0
             for disc in discs:
                 permitted &= ~self.touching(disc)
-            self._graphs[key] = Graph(permitted, np.where(permitted[:, None] & permitted, self._costs, np.inf))
+            costs = self._apart if between else self._costs
+            self._graphs[key] = Graph(permitted, np.where(permitted[:, None] & permitted, costs, np.inf))
         return self._graphs[key]
 
     def optimum(self, graph: Graph, start: int, wanted: Sequence[NDArray[np.bool_]]) -> float:

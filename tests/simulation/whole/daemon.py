@@ -202,6 +202,7 @@ class Daemon:
         """Halts the process for a time [s]; what is sent to it waits."""
         self.exchange.stands_still()
         self.awake_since = max(self.awake_since, self.agenda.now + seconds)
+        self.exchange.note("halt", self.awake_since)
         if seconds > STANDSTILL:
             self.exchange.note("standstill", self.awake_since)
         if seconds > LEASE:
