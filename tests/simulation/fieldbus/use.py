@@ -9,7 +9,7 @@ from tests.simulation.statements.objects import LIVE, TIMES
 from tests.simulation.verdict import require
 
 COMMITTED = 0.6  # [s] until a command must be over
-READ_AT_ONCE = 0.15  # [s] until outputs without end-stops, and those of ended pulses, are read back
+READ_AT_ONCE = 0.05  # [s] until outputs without end-stops, and those of ended pulses, are read back
 LATE = 0.004  # [s] from a change of pins until the master tells it
 AT_ONCE = 254  # first transmission type of an RPDO that does not wait for SYNC
 
