@@ -252,6 +252,12 @@ class Account(Witness):
         extended = pins.states & arm.extended_ends & pins.extended
         return extended | ~pins.states & arm.contracted_ends & pins.contracted
 
+    def elsewhere(self, states: int) -> int:
+        """Returns the mask of the actuators that are not in `states`: with no coil on, an end-stop may tell it."""
+        pins, arm = self.pins[-1], self.arm
+        read = arm.measured(pins.extended, pins.contracted, pins.states)
+        return (states ^ pins.states) & ((states ^ read) | ~arm.paired | pins.on)
+
     def since(self, at: float) -> list[Pins]:
         """Returns all pins that held at a time or later, the newest first."""
         found: list[Pins] = []

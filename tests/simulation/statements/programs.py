@@ -52,12 +52,9 @@ class AcceptedProgramsFit(Statement):
         self.require(account.now <= program.until + EPSILON, f"{text}, too late by {account.now - program.until:g} s")
         self.require(program.program not in account.programs, f"{text} again")
         unsure = account.missed | account.homing | account.locked | account.fallen
-        start, pins, arm = unpack(program.start), account.pins[-1], account.arm
-        read = arm.measured(pins.extended, pins.contracted, pins.states)
-        without = arm.paired & ~pins.on & ~(start ^ read)  # with no coil on, an actuator is where its end-stop reads
-        differ = (start ^ pins.states) & ~unsure & ~without
+        differ = account.elsewhere(unpack(program.start)) & ~unsure
         self.require(not differ, f"{text} from other states of {differ:b}")
-        before, earliest = start, -math.inf
+        before, earliest = unpack(program.start), -math.inf
         for stage in program.stages:
             states = unpack(stage.states)
             most, locked = (states ^ before).bit_count() <= account.arm.most, (states ^ before) & account.locked
@@ -189,7 +186,7 @@ class DoneIsProven(Statement):
         if done and motion.stages:
             self.require(motion.final, f"program {message.program} is done, and further stages may come")
             unsure = account.missed | account.fallen | account.locked | account.homing
-            wrong = (account.pins[-1].states ^ motion.stages[-1].states) & ~unsure
+            wrong = account.elsewhere(motion.stages[-1].states) & ~unsure
             self.require(not wrong, f"program {message.program} is done, and {wrong:b} are not where it wants them")
             if account.clear:
                 unknown = account.homing & ~account.locked & motion.homes
