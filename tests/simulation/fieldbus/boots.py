@@ -38,16 +38,24 @@ class BootsAreSound(OfBoards):
         self.left: dict[str, Values] = {}
         self.failed: set[str] = set()
         self._touched: dict[str, list[str]] = {}
+        self._written: dict[str, set[bytes]] = {}  # objects of each board that were not read since their write
 
     def begin(self, found: dict[str, Found]) -> None:
         self.found, self._touched = found, {name: [] for name in found}
+        self._written = {name: set() for name in found}
 
     def again(self, name: str) -> None:
         """A board has restarted during the boot."""
-        self.found[name], self._touched[name] = self.life.sight.found(name), []
+        self.found[name], self._touched[name], self._written[name] = self.life.sight.found(name), [], set()
 
     def sends(self, bus: str, frame: Frame) -> None:
         name, index = f"{bus}/{frame.id & 0x7F}", int.from_bytes(frame.data[1:3], "little")
+        if frame.id & ~0x7F == cia301.SDO_REQUEST and name in self._written:
+            place, written = frame.data[1:4], self._written[name]
+            if frame.data[0] == 0x40:
+                written.discard(place)
+            elif frame.data[0] & 0xE0 == 0x20:
+                written.add(place)
         if frame.id == cia301.NMT:
             self._touched.setdefault(f"{bus}/{frame.data[1]}", []).append(f"NMT {frame.data[0]}")
         elif frame.id & ~0x7F == cia301.SDO_REQUEST and frame.data[0] not in READS and name in self.found:
@@ -96,6 +104,8 @@ class BootsAreSound(OfBoards):
         self.require(now.state == OPERATIONAL, f"{name} is told as ready, and is in {now.state}")
         life.objects.judge(name)
         life.objects.judge_kept(name, found.values, now.values)
+        unread = [place.hex() for place in self._written[name]] if touched else []  # it was configured
+        self.require(not unread, f"{name} is ready, and {unread} were written and not read back")
         written = self._judge_outputs(board, found, now)
         right = off == written or (off and name in self.failed)
         self.require(right, f"{name}: outputs-off is warned: {off}, outputs were written: {written}")
