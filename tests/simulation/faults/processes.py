@@ -194,8 +194,8 @@ _add(
 )
 _add(
     "executors socket is full",
-    3.0,
-    lambda at: at.world.daemon.fill_socket(at.random.choice([0, 0, 1, 2, 5])),
+    0.6,
+    lambda at: (at.world.daemon.fill_socket(at.random.choice([0, 0, 1, 2, 5])), at.world.daemon.clients.move()),
     lambda at: at.world.daemon.drain_socket(),
 )
 _add(
