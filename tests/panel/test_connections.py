@@ -90,8 +90,8 @@ def test_idle_connections_take_nothing_from_an_operator(tmp_path: Path, through:
             own = (f"127.0.0.{k % 4 + 1}", 0) if through == "addresses" else None
             idle.append(closing.enter_context(socket.create_connection(("127.0.0.1", target), PATIENCE, own)))
         eventually(lambda: through == "addresses" or proxy.opened == before + IDLE)
+        assert [idle[k].recv(1) for k in range(8)] == [b""] * 8, "the oldest are closed"
         assert visit.stops()
         assert visit.stops_from_the_page()
         assert Visit(visit.url, closing).stops()
-        assert [idle[k].recv(1) for k in range(8)] == [b""] * 8, "the oldest are closed"
     assert "Traceback" not in (tmp_path / "log").read_text()
