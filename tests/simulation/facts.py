@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from tests.simulation.statements.account import Sync
+    from tests.simulation.statements.motions import Sync
 
 
 class Switch(NamedTuple):

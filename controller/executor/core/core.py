@@ -184,7 +184,7 @@ class Executor:
             if (warning := self.ending.warning()) is not None:
                 self._act(Log(logging.WARNING, warning))
             self.modes.boot(self.modes.reason, now)
-        self._awake, self._last_tick = self.motion.clock, now
+        self._awake, self._last_tick, self.period = self.motion.clock, now, program.TICK  # also after a defect
         self.master.tick(now)
         self._conclude(event, now)
         self.motion.actuation.tick(now)
@@ -215,7 +215,7 @@ class Executor:
         """Plans the next tick: at rest the first one at which something is due, or after REST periods."""
         if self._frames > CROWDED:
             self._awake_until = now + AWAKE
-        self._frames, self.period = 0, program.TICK
+        self._frames = 0
         if self.resting(now):
             due = min(self.reports.next_due(), self.master.next_due(), self._next_beat if self._watchdog else math.inf)
             self.period *= min(max(math.ceil((due - now) / program.TICK - 0.01), 1), REST)

@@ -37,7 +37,6 @@ class JudgedArm:
         limited: whether the inrush limit makes each stage wait for the stage before.
         planner_timeout: silence after which the planner is lost [s].
         declared: mask and states of the actuators that the file declares stuck.
-        ending: longest time of the contraction before the end [s].
         contracts_at_end: whether `on_stop` is contract.
     """
 
@@ -60,13 +59,10 @@ class JudgedArm:
         self.bus_of = [c.bus for c in channels]
         self.labels = [c.actuator for c in channels]
         self.most = self.count if arm.inrush is None else arm.inrush
-        self.ending = arm.ending
         self.limited, self.rest = arm.inrush is not None, arm.rest
         self.timing, self.planner_timeout = timing, arm.planner_timeout
         self.declared = arm.locked, arm.locked_states & arm.locked
         self.contracts_at_end = arm.contract_on_stop
-        self.buses = [bus.name for bus in arm.wiring.buses]
-        self.size = (self.count + 7) // 8
 
     def measured(self, extended: int, contracted: int, commanded: int) -> int:
         """Returns what end-stops tell: each end-stop reads 1 only at its end; else the commanded state."""

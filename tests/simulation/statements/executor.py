@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.simulation.statements import containers, objects, pins, programs, running, told
+from tests.simulation.statements import containers, objects, pins, programs, requests, running, told
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.statement import Statement
 
@@ -20,8 +20,8 @@ EVERY: tuple[type[Statement], ...] = (
     programs.StrictStagesWait,
     programs.StagesBeginInTime,
     programs.NothingRunsWithoutItsPlanner,
-    programs.OnlyTheWelcomeAct,
-    programs.LocksAndResetsAreSound,
+    requests.OnlyTheWelcomeAct,
+    requests.LocksAndResetsAreSound,
     told.SnapshotsAreTrue,
     told.SilentBoardsAreUnknown,
     told.CountsAreTheSwitches,
