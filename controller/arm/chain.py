@@ -6,8 +6,9 @@ from itertools import pairwise
 from pathlib import Path
 
 from hyperbit.controller.arm.tables import read_table
-from hyperbit.controller.armfile.settings import (
-    Diagonal,
+from hyperbit.controller.armfile.fields import Diagonal
+from hyperbit.controller.armfile.modules import (
+    EntrySettings,
     FrameSettings,
     ModuleSettings,
     PlatformSettings,
@@ -16,6 +17,7 @@ from hyperbit.controller.armfile.settings import (
     TransformsSettings,
     VgtLengths,
     VgtSettings,
+    chain,
 )
 from hyperbit.controller.armfile.strict import UNIT
 from hyperbit.controller.manipulator import frames
@@ -27,30 +29,41 @@ from hyperbit.controller.manipulator.vgt import ACTUATORS, vgt
 PLATFORMS: dict[tuple[int, ...], str] = {(6, 3): "six in space", (3, 3): "three in space", (3, 2): "three in the plane"}
 
 
-def build_modules(groups: Sequence[ModuleSettings], folder: Path, faults: list[str]) -> list[Module]:
+def build_modules(entries: Sequence[EntrySettings], folder: Path, faults: list[str]) -> list[Module]:
     """Returns the valid modules of the chain from `modules` of the file; `folder` is that of the tables.
 
-    A sentence is appended to `faults` for each wrong field.
+    Repetitions share their modules. A sentence is appended to `faults` for each wrong field.
     """
     modules: list[Module] = []
-    for g, group in enumerate(groups):
-        path = f"modules[{g}]"
-        match group:
-            case VgtSettings():
-                own = build_vgt(group, path, faults)
-            case RevoluteSettings() | PrismaticSettings():
-                own = build_joint(group, path, faults)
-            case PlatformSettings():
-                own = build_platform(group, path, faults)
-            case TransformsSettings():
-                own = build_transforms(group, path, folder, faults)
-        if not own:
-            continue
-        chain = [own[k % len(own)] for k in range(group.count)]
-        if isinstance(group, VgtSettings) and g > 0 and not isinstance(groups[g - 1], VgtSettings):
-            chain[0] = build_vgt(group, path, [], base_bar=True)[0]  # the module below has no bar there
-        modules += chain
+    known: dict[tuple[str, bool], list[Module]] = {}  # by the path of the entry, and whether it begins with a bar
+    below: ModuleSettings | None = None
+    for path, _, settings in chain(entries):
+        base_bar = isinstance(settings, VgtSettings) and below is not None and not isinstance(below, VgtSettings)
+        if (path, base_bar) not in known:
+            again = (path, not base_bar) in known  # its faults are told
+            known[path, base_bar] = build_entry(settings, path, folder, [] if again else faults, base_bar=base_bar)
+        modules += known[path, base_bar]
+        below = settings
     return modules
+
+
+def build_entry(
+    settings: ModuleSettings, path: str, folder: Path, faults: list[str], *, base_bar: bool = False
+) -> list[Module]:
+    """Returns the modules of one entry, none if it is wrong; `base_bar`: a truss on a module without a bar there."""
+    match settings:
+        case VgtSettings():
+            own = build_vgt(settings, path, faults)
+        case RevoluteSettings() | PrismaticSettings():
+            own = build_joint(settings, path, faults)
+        case PlatformSettings():
+            own = build_platform(settings, path, faults)
+        case TransformsSettings():
+            own = build_transforms(settings, path, folder, faults)
+    made = [own[k % len(own)] for k in range(settings.count)] if own else []
+    if made and base_bar and isinstance(settings, VgtSettings):
+        made[0] = build_vgt(settings, path, [], base_bar=True)[0]
+    return made
 
 
 def build_frame(settings: FrameSettings, path: str, faults: list[str]) -> frames.Frame | None:

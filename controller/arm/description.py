@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from hyperbit.controller.arm.arm import Arm
-from hyperbit.controller.armfile.settings import TransformsSettings
+from hyperbit.controller.armfile.modules import table_names
 from hyperbit.controller.host.files import read_file
 from hyperbit.controller.manipulator.notation import format_configuration
 from hyperbit.controller.workspace.densities import Densities
@@ -25,6 +25,7 @@ def description(arm: Arm) -> Payload:
         "name": arm.settings.name,
         "version": version("hyperbit"),
         "dimension": manipulator.dimension,
+        "unit": arm.settings.unit,
         "length": manipulator.length,
         "states": manipulator.states.tolist(),
         "frames": [module.frames.tolist() for module in manipulator.modules],
@@ -66,11 +67,11 @@ def file(arm: Arm) -> Payload | None:
     """
     if arm.path is None:
         return None
-    groups = [group for group in arm.settings.modules if isinstance(group, TransformsSettings)]
-    names = [group.table for group in groups if group.table is not None]
     try:
         data = read_file(arm.path)
-        tables = {name: read_file(arm.path.parent / name).decode("utf-8-sig") for name in names}
+        tables = {
+            name: read_file(arm.path.parent / name).decode("utf-8-sig") for name in table_names(arm.settings.modules)
+        }
         text = data.decode()
     except (OSError, UnicodeDecodeError):
         return None

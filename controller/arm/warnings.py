@@ -7,14 +7,9 @@ import numpy as np
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.actuators import travel_times
 from hyperbit.controller.armfile.choices import degrees_hint
+from hyperbit.controller.armfile.modules import PrismaticSettings, RevoluteSettings, TransformsSettings, chain, places
 from hyperbit.controller.armfile.places import place
-from hyperbit.controller.armfile.settings import (
-    ArmSettings,
-    BoxSettings,
-    PrismaticSettings,
-    RevoluteSettings,
-    TransformsSettings,
-)
+from hyperbit.controller.armfile.settings import ArmSettings, BoxSettings
 from hyperbit.controller.armfile.strict import fault_list
 from hyperbit.controller.armfile.terminals import actuator_bits
 from hyperbit.controller.manipulator.module import Module
@@ -42,19 +37,20 @@ def file_warnings(arm: Arm) -> list[str]:
 
 def size_warnings(arm: Arm) -> list[str]:
     """Returns a warning for each entry of `modules` that is far larger or smaller than the median module."""
-    sizes, start = list[float](), 0
-    for group in arm.settings.modules:
-        sizes.append(size(arm.manipulator.modules[start]))
-        start += group.count
-    every = [own for own, group in zip(sizes, arm.settings.modules, strict=True) if own > 0 for _ in range(group.count)]
+    where = places(arm.settings.modules)
+    sizes = [size(module) for module in arm.manipulator.modules]
+    every = [own for own in sizes if own > 0]
     if not every:
         return []
+    first: dict[str, float] = {}  # size of the first module of each entry
+    for entry, own in zip(where, sizes, strict=True):
+        first.setdefault(entry.path, own)
     usual, found = statistics.median_low(every), list[str]()
-    for g, own in enumerate(sizes):
+    for path, own in first.items():
         if own > 0 and not 1 / ODD_RATIO < own / usual < ODD_RATIO:
             ratio = f"{own / usual:.3g} times larger" if own > usual else f"{usual / own:.3g} times smaller"
             text = f"{own:.4g} long, {ratio} than the arm's median module of {usual:.4g}; check the unit of its lengths"
-            found.append(f"modules[{g}]: {text}")
+            found.append(f"{path}: {text}")
     return found
 
 
@@ -98,17 +94,17 @@ def angle_warnings(settings: ArmSettings) -> list[str]:
     found["tolerance.orientation"] = settings.tolerance.orientation
     if settings.tip is not None:
         found["tip.orientation"] = settings.tip.orientation
-    for g, group in enumerate(settings.modules):
+    for path, repetition, group in chain(settings.modules):
+        if repetition > 1:
+            continue
         if isinstance(group, RevoluteSettings):
-            found |= {f"modules[{g}].angles[{k}]": angle for k, angle in enumerate(group.angles or ())}
+            found |= {f"{path}.angles[{k}]": angle for k, angle in enumerate(group.angles or ())}
             pairs = enumerate(group.cylinders or ())
-            found |= {f"modules[{g}].cylinders[{k}][{j}]": a for k, pair in pairs for j, a in enumerate(pair)}
+            found |= {f"{path}.cylinders[{k}][{j}]": a for k, pair in pairs for j, a in enumerate(pair)}
         if isinstance(group, RevoluteSettings | PrismaticSettings):
-            found[f"modules[{g}].link.orientation"] = group.link.orientation
+            found[f"{path}.link.orientation"] = group.link.orientation
         if isinstance(group, TransformsSettings):
-            found |= {
-                f"modules[{g}].states[{k}].orientation": it.orientation for k, it in enumerate(group.states or ())
-            }
+            found |= {f"{path}.states[{k}].orientation": it.orientation for k, it in enumerate(group.states or ())}
     boxes = ((k, obstacle.box) for k, obstacle in enumerate(settings.obstacles))
     found |= {f"obstacles[{k}].box.angle": box.angle for k, box in boxes if box is not None}
     return [

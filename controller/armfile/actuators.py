@@ -5,19 +5,19 @@ from pathlib import Path
 
 from hyperbit.controller.armfile.csv_files import check_states, read_states
 from hyperbit.controller.armfile.error_states import check_error_states
-from hyperbit.controller.armfile.places import placed_faults
-from hyperbit.controller.armfile.settings import (
-    ActuatorSettings,
-    ArmSettings,
-    ModuleSettings,
+from hyperbit.controller.armfile.modules import (
+    ChainEntry,
+    EntrySettings,
     PlatformSettings,
     PrismaticSettings,
     RevoluteSettings,
     TransformsSettings,
-    TravelSettings,
     VgtSettings,
-    read_settings,
+    chain,
+    places,
 )
+from hyperbit.controller.armfile.places import counted, placed_faults
+from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, TravelSettings, read_settings
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.armfile.terminals import check_terminals, named_boards, no_bus
 
@@ -50,16 +50,20 @@ def labels(modules: Sequence[Sequence[str]]) -> tuple[str, ...]:
     return tuple(f"{i + 1}.{name}" for i, names in enumerate(modules) for name in names)
 
 
-def actuator_names(groups: Sequence[ModuleSettings], folder: Path, faults: list[str]) -> list[tuple[str, ...]]:
+def actuator_names(entries: Sequence[EntrySettings], folder: Path, faults: list[str]) -> list[tuple[str, ...]]:
     """Returns the names of the actuators of each module, base first.
 
     Args:
-        groups: the file's `modules`.
+        entries: the file's `modules`.
         folder: where tables are looked for.
         faults: appended to.
     """
     modules: list[tuple[str, ...]] = []
-    for g, group in enumerate(groups):
+    known: dict[str, tuple[str, ...]] = {}  # by the path of the entry
+    for path, _, group in chain(entries):
+        if path in known:
+            modules += [known[path]] * group.count
+            continue
         match group:
             case VgtSettings():
                 names = VGT
@@ -72,8 +76,9 @@ def actuator_names(groups: Sequence[ModuleSettings], folder: Path, faults: list[
             case PlatformSettings():
                 names = numbered(len(group.base))
             case TransformsSettings():
-                states = len(group.states or []) or count_rows(folder, group.table, f"modules[{g}].table", faults)
+                states = len(group.states or []) or count_rows(folder, group.table, f"{path}.table", faults)
                 names = numbered(code_length(states))
+        known[path] = names
         modules += [names] * group.count
     return modules
 
@@ -133,8 +138,15 @@ def map_actuators(
     check_nodes(settings, buses, faults)
     every = labels(modules)
     if settings.actuators or settings.buses:
-        faults += [f"actuators: {label} is not mapped" for label in every if label not in found]
+        where = places(settings.modules)
+        faults += [f"actuators: {label} is not mapped{of_group(where, label)}" for label in every if label not in found]
     return tuple(found[label] for label in every if label in found)
+
+
+def of_group(where: Sequence[ChainEntry], label: str) -> str:
+    """Returns entry and repetition of an actuator in a group, for a sentence; "" outside of groups."""
+    entry = where[int(label.partition(".")[0]) - 1]
+    return f" ({counted(entry.place)})" if entry.repetition else ""
 
 
 def travel_times(settings: ArmSettings, entry: ActuatorSettings) -> tuple[float, float]:

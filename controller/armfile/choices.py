@@ -14,7 +14,8 @@ DECIMAL_COMMA = re.compile(r"([-+]?[0-9]+),([0-9]+)")
 LARGEST = 1e6  # of lengths and other numbers; greater ones are mistakes of the unit, and overflow when they are squared
 LARGEST_ANGLE = 12.5664  # [rad], two turns; greater ones are degrees
 MOST_DEGREES = 720.0
-RADIANS = "in radians"
+RADIANS, SECONDS, BITS = "in radians", "in seconds", "in bit/s"
+LENGTH = "in the unit of the arm's file"
 UNITS = {  # factor of a unit, and what the field expects
     "us": (1e-6, "seconds"),
     "µs": (1e-6, "seconds"),
@@ -95,7 +96,7 @@ def hint_of(value: object, kind: Any) -> str:
     if unit == RADIANS and isinstance(value, int | float):
         return degrees_hint(value)
     if isinstance(value, str) and takes(kind, int, float):
-        return number_hint(value) or in_unit
+        return number_hint(value, unit) or in_unit
     if isinstance(value, int | float) and takes(kind, str):
         return "; write it in quotes"
     if isinstance(value, list) and get_origin(kind) is dict:
@@ -130,8 +131,11 @@ def degrees_hint(value: float) -> str:
     return f"; in radians, {value:g} degrees are {math.radians(value):.4g}"
 
 
-def number_hint(text: str) -> str:
-    """Returns what to write in place of a number that is given as text; "" if the text is no number."""
+def number_hint(text: str, expected: str = "") -> str:
+    """Returns what to write in place of a number that is given as text; "" if the text is no number.
+
+    `expected` is the unit of its field, such as SECONDS; "" if it has none or is not known.
+    """
     if (comma := DECIMAL_COMMA.fullmatch(text.strip())) is not None:
         decimal = f"{comma[1]}.{comma[2]}"
         if len(comma[2]) == 3 and comma[1].lstrip("+-") != "0":
@@ -141,6 +145,10 @@ def number_hint(text: str) -> str:
     if match is None:
         return ""
     value, unit = float(match[1]), match[2]
+    if unit in LENGTHS and expected == LENGTH:
+        return "; write a number without a unit, or name the unit of all lengths, as in unit: mm"
+    if expected and (unit in LENGTHS or (unit in UNITS and expected != f"in {UNITS[unit][1]}")):
+        return f"; this number is {expected}"
     if unit in LENGTHS:
         return "; write a number without a unit: all lengths of a file have the same one"
     if not unit:

@@ -7,6 +7,7 @@ from pathlib import Path, PurePath
 import yaml
 
 from hyperbit.controller.armfile.documents import read_yaml
+from hyperbit.controller.armfile.modules import table_names
 from hyperbit.controller.armfile.places import placed_faults
 from hyperbit.controller.armfile.settings import read_settings
 from hyperbit.controller.armfile.strict import InputFaults
@@ -27,23 +28,18 @@ def patient_copy(file: Path, folder: Path) -> Path:
         InputFaults: the file is wrong.
     """
     with placed_faults(file):
-        _, faults = read_settings(file)
+        settings, faults = read_settings(file)
         if faults:
             raise InputFaults(file, faults)
     document = read_yaml(file)
-    boards = document.get("boards") or {}
-    document["boards"] = {**boards, "heartbeat_timeout": lengthened(boards.get("heartbeat_timeout"))}
-    document["planner_timeout"] = lengthened(document.get("planner_timeout"))
-    for module in document["modules"]:
-        if (name := module.get("table")) is not None and not PurePath(name).is_absolute():
+    silence = max(settings.boards.heartbeat_timeout, SILENCE_TIMEOUT)
+    document["boards"] = {**(document.get("boards") or {}), "heartbeat_timeout": silence}
+    document["planner_timeout"] = max(settings.planner_timeout, SILENCE_TIMEOUT)
+    for name in table_names(settings.modules):
+        if not PurePath(name).is_absolute():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(OSError):  # the reader of the copy tells
                 shutil.copyfile(file.parent / name, folder / name)
     copy = folder / file.name
     copy.write_text(yaml.safe_dump(document, allow_unicode=True), encoding="utf-8")
     return copy
-
-
-def lengthened(timeout: float | None) -> float:
-    """Returns a time-out, or SILENCE_TIMEOUT if that is longer [s]."""
-    return max(timeout or 0.0, SILENCE_TIMEOUT)

@@ -5,28 +5,34 @@ from typing import Annotated, Final, Literal
 
 from msgspec import Meta, Struct, field
 
-from hyperbit.controller.armfile.choices import LARGEST, LARGEST_ANGLE, RADIANS
+from hyperbit.controller.armfile.choices import BITS, LARGEST, LENGTH, SECONDS
 from hyperbit.controller.armfile.documents import read_yaml
+from hyperbit.controller.armfile.fields import (
+    Angle,
+    AngleTolerance,
+    Bit,
+    Count,
+    Direction,
+    Margin,
+    Name,
+    Node,
+    Positive,
+    Quaternion,
+    Sides,
+    Travel,
+    Vector,
+    Word,
+)
+from hyperbit.controller.armfile.modules import (
+    MOST_MODULES,
+    EntrySettings,
+    FrameSettings,
+    count_modules,
+    with_group_types,
+)
 from hyperbit.controller.armfile.strict import InputFaults, check
+from hyperbit.controller.armfile.units import Unit, factors
 
-Positive = Annotated[float, Meta(gt=0, le=LARGEST)]
-Coordinate = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
-Pair = tuple[Positive, Positive]
-Count = Annotated[int, Meta(ge=1, le=10_000)]
-Bit = Annotated[int, Meta(ge=0, le=2031)]  # of 254 bytes
-Node = Annotated[int, Meta(ge=1, le=126)]  # 127 is the master's
-Word = Annotated[int, Meta(ge=0, le=0xFFFF_FFFF)]
-Travel = Annotated[float, Meta(gt=0, le=60, description="in seconds")]
-Margin = Annotated[float, Meta(ge=0, le=10, description="in seconds")]
-NAME = "1 to 64 letters, digits, _ and -"
-Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z", description=NAME)]
-Vector = Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
-Direction = Annotated[list[Coordinate], Meta(min_length=3, max_length=3)]
-Sides = Annotated[list[Positive], Meta(min_length=2, max_length=3)]
-Angle = Annotated[float, Meta(ge=-LARGEST_ANGLE, le=LARGEST_ANGLE, description=RADIANS)]
-AngleTolerance = Annotated[float, Meta(ge=1e-9, le=LARGEST_ANGLE, description=RADIANS)]
-Quaternion = Annotated[list[Coordinate], Meta(min_length=4, max_length=4)]
-Diagonal = Literal["BC", "AD"]  # of a truss module
 PaperMethod = Literal["pop", "ipop-previous", "ipop-contracted"]
 Variant = Literal["ipop-fewest-switches", "ipop-fewest-extended"]  # the paper's IPOP, counting actuators
 MINIMUM_SWITCH: Final = "minimum-switch"
@@ -35,70 +41,6 @@ OnLoss = Literal["hold", "contract"]
 ErrorState = Literal["off", "hold", "device"] | bool  # YAML reads a plain off as false
 
 MOST_OBSTACLES = 256  # in one list
-
-
-class FrameSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """A frame: planar with an angle [rad], or spatial with a quaternion x, y, z, w."""
-
-    position: Vector
-    orientation: Angle | Quaternion = 0.0
-
-
-class VgtLengths(Struct, forbid_unknown_fields=True, frozen=True):
-    """Contracted and extended length of each actuator of a truss module."""
-
-    left: Pair
-    diagonal: Pair
-    right: Pair
-
-
-class VgtSettings(Struct, tag_field="type", tag="vgt", forbid_unknown_fields=True, frozen=True):
-    """`count` truss modules of the paper's section 4; the diagonals alternate, beginning with `first_diagonal`."""
-
-    width: Positive
-    lengths: Pair | VgtLengths
-    count: Count = 1
-    first_diagonal: Diagonal = "BC"
-
-
-class RevoluteSettings(Struct, tag_field="type", tag="revolute", forbid_unknown_fields=True, frozen=True):
-    """`count` revolute joints at one of the angles, or turned by cylinders in series [rad], each followed by a link."""
-
-    angles: Annotated[list[Angle], Meta(min_length=2, max_length=4096)] | None = None
-    cylinders: Annotated[list[tuple[Angle, Angle]], Meta(min_length=1, max_length=12)] | None = None
-    axis: Direction = field(default_factory=lambda: [0.0, 0.0, 1.0])
-    link: FrameSettings = FrameSettings([0.0, 0.0])
-    count: Count = 1
-
-
-class PrismaticSettings(Struct, tag_field="type", tag="prismatic", forbid_unknown_fields=True, frozen=True):
-    """`count` prismatic joints at one of the lengths, or moved by cylinders in series, each followed by a link."""
-
-    axis: Vector
-    lengths: Annotated[list[Coordinate], Meta(min_length=2, max_length=4096)] | None = None
-    cylinders: Annotated[list[tuple[Coordinate, Coordinate]], Meta(min_length=1, max_length=12)] | None = None
-    link: FrameSettings = FrameSettings([0.0, 0.0])
-    count: Count = 1
-
-
-class PlatformSettings(Struct, tag_field="type", tag="platform", forbid_unknown_fields=True, frozen=True):
-    """`count` platforms on legs: lower joints in the frame below, upper joints in the frame above, lengths of a leg."""
-
-    base: Annotated[list[Vector], Meta(min_length=3, max_length=6)]
-    top: Annotated[list[Vector], Meta(min_length=3, max_length=6)]
-    lengths: Pair
-    count: Count = 1
-
-
-class TransformsSettings(Struct, tag_field="type", tag="transforms", forbid_unknown_fields=True, frozen=True):
-    """`count` modules whose states are frames, listed here or in a CSV file beside the arm's file."""
-
-    states: Annotated[list[FrameSettings], Meta(min_length=2, max_length=4096)] | None = None
-    table: str | None = None
-    count: Count = 1
-
-
-ModuleSettings = VgtSettings | RevoluteSettings | PrismaticSettings | PlatformSettings | TransformsSettings
 
 
 class RoundSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -121,7 +63,7 @@ class HalfSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """A half-plane or half-space, on the side of `point` that is opposite to `normal`."""
 
     point: Vector
-    normal: Vector
+    normal: Direction
 
 
 class ObstacleSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -172,7 +114,7 @@ class BusSettings(Struct, forbid_unknown_fields=True, frozen=True):
     name: Name
     channel: str
     interface: Literal["socketcan", "virtual"] = "socketcan"
-    bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000, description="in bit/s")] = 1_000_000
+    bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000, description=BITS)] = 1_000_000
 
 
 class NodeSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -196,9 +138,9 @@ class NodeSettings(Struct, forbid_unknown_fields=True, frozen=True):
 class BoardSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """Settings of all boards; `nodes` has those of single boards. Times are seconds."""
 
-    heartbeat: Annotated[float, Meta(ge=0.02, le=10, description="in seconds")] = 0.1
-    heartbeat_timeout: Annotated[float, Meta(ge=0.03, le=30, description="in seconds")] = 0.35
-    boot_timeout: Annotated[float, Meta(gt=0, le=120, description="in seconds")] = 3.0
+    heartbeat: Annotated[float, Meta(ge=0.02, le=10, description=SECONDS)] = 0.1
+    heartbeat_timeout: Annotated[float, Meta(ge=0.03, le=30, description=SECONDS)] = 0.35
+    boot_timeout: Annotated[float, Meta(gt=0, le=120, description=SECONDS)] = 3.0
     on_loss: OnLoss = "hold"
     error_state: ErrorState | None = None
     shared_rpdo: bool = False
@@ -215,7 +157,7 @@ class TrackerSettings(Struct, forbid_unknown_fields=True, frozen=True):
     noise: Positive
     clamp: Positive
     drift: Positive | None = None
-    hold: Annotated[float, Meta(gt=0, le=86_400, description="in seconds")] = 300.0
+    hold: Annotated[float, Meta(gt=0, le=86_400, description=SECONDS)] = 300.0
 
 
 class RealTimeSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -272,7 +214,7 @@ class ActuatorSettings(Struct, forbid_unknown_fields=True, frozen=True):
     node: Node
     output: Bit | BitSettings
     output_off: Bit | BitSettings | None = None
-    pulse: Annotated[float, Meta(ge=0.01, le=10, description="in seconds")] | None = None
+    pulse: Annotated[float, Meta(ge=0.01, le=10, description=SECONDS)] | None = None
     input: Bit | InputSettings | None = None
     input_contracted: Bit | InputSettings | None = None
     travel_time: Travel | TravelSettings | None = None
@@ -286,13 +228,14 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """The whole file."""
 
     name: Name
-    modules: Annotated[list[ModuleSettings], Meta(min_length=1)]
+    modules: Annotated[list[EntrySettings], Meta(min_length=1)]
     tolerance: ToleranceSettings
+    unit: Unit | None = None  # of all lengths; None: not named
     travel_time: Travel | TravelSettings = 0.05
-    rest_time: Annotated[float, Meta(ge=0, le=3600, description="in seconds")] = 0.0
+    rest_time: Annotated[float, Meta(ge=0, le=3600, description=SECONDS)] = 0.0
     inrush: Count | None = None
     # Silence of the planner until the executor holds.
-    planner_timeout: Annotated[float, Meta(ge=0.5, le=60, description="in seconds")] = 1.0
+    planner_timeout: Annotated[float, Meta(ge=0.5, le=60, description=SECONDS)] = 1.0
     base: FrameSettings = FrameSettings([0.0, 0.0])
     tip: FrameSettings | None = None
     workspace: WorkspaceSettings = WorkspaceSettings()
@@ -305,7 +248,7 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     real_time: RealTimeSettings | None = None
     tracker: TrackerSettings | None = None
     obstacles: ObstacleList = field(default_factory=list)
-    body_radius: Annotated[float, Meta(ge=0, le=LARGEST)] = 0.0
+    body_radius: Annotated[float, Meta(ge=0, le=LARGEST, description=LENGTH)] = 0.0
     self_collision: bool = False
     buses: list[BusSettings] = field(default_factory=list)
     actuators: list[ActuatorSettings] = field(default_factory=list)
@@ -319,9 +262,12 @@ def read_settings(path: Path) -> tuple[ArmSettings, list[str]]:
         InputFaults: the file is missing or unreadable, or a field is wrong.
     """
     faults: list[str] = []
-    settings = check(read_yaml(path), ArmSettings, faults)
+    raw = with_group_types(read_yaml(path))
+    settings = check(raw, ArmSettings, faults, factors(raw.get("unit") if isinstance(raw, dict) else None))
     if settings is None:
         raise InputFaults(path, faults)
+    if (modules := count_modules(settings.modules)) > MOST_MODULES:
+        raise InputFaults(path, [f"modules: {modules} modules, at most {MOST_MODULES} are possible"])
     boards = settings.boards
     if boards.heartbeat_timeout <= 1.5 * boards.heartbeat:
         faults.append(

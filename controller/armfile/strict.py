@@ -18,10 +18,12 @@ from hyperbit.controller.armfile.choices import (
     values_of,
     wrong_choice,
 )
+from hyperbit.controller.armfile.units import Factors, value_in
 
 S = TypeVar("S", bound=Struct)
 
 MOST_FAULTS = 100
+NO_UNITS: Factors = {}
 UNIT = 1e-3  # tolerance of a quaternion's length, because it may be written with few digits
 
 
@@ -50,16 +52,19 @@ def fault_list(file: str, faults: Sequence[str], lines: Sequence[int | None] = (
     return "\n".join(f"{place}: {fault}" for place, fault in zip(places, faults, strict=True))
 
 
-def check(value: Any, kind: type[S], faults: list[str]) -> S | None:
-    """Returns `value` as a struct, or None with each fault appended as "path: fault"."""
+def check(value: Any, kind: type[S], faults: list[str], units: Factors = NO_UNITS) -> S | None:
+    """Returns `value` as a struct, or None with each fault appended as "path: fault".
+
+    `units` says what texts such as "30 deg" stand for; without it a number in a text is a fault.
+    """
     before = len(faults)
-    validate(value, kind, "", faults)
+    plain = validated(value, kind, "", faults, units)
     del faults[MOST_FAULTS:]
-    return msgspec.convert(value, kind) if len(faults) == before else None
+    return msgspec.convert(plain, kind) if len(faults) == before else None
 
 
-def validate(value: Any, kind: Any, path: str, faults: list[str]) -> None:
-    """Appends the faults of `value` against the type `kind`; structs, dicts and lists are checked part by part."""
+def validated(value: Any, kind: Any, path: str, faults: list[str], units: Factors = NO_UNITS) -> Any:
+    """Returns `value` with numbers for texts with units; appends its faults against the type `kind`, part by part."""
     kind = union_member(value, kind)
     tags = tags_of(kind) if isinstance(value, dict) else None
     if tags is not None:
@@ -67,30 +72,45 @@ def validate(value: Any, kind: Any, path: str, faults: list[str]) -> None:
         missing = f"required, but missing; {must_be(known_tags)}"
         fault = wrong_choice(value[name], shown(value[name]), known_tags) if name in value else missing
         faults.append(f"{join(path, name)}: {fault}")
-        return
+        return value
     if isinstance(kind, type) and issubclass(kind, Struct) and isinstance(value, dict):
-        hints = get_type_hints(kind, include_extras=True)
-        config = kind.__struct_config__
-        known = set(kind.__struct_encode_fields__) | ({config.tag_field} if config.tag_field else set())
-        faults += [f"{join(path, name)}: {unknown_field(name, known)}" for name in value if name not in known]
-        required = [f for f in msgspec.structs.fields(kind) if f.required]
-        faults += [f"{join(path, f.name)}: required, but missing" for f in required if f.name not in value]
-        for name in kind.__struct_fields__:
-            if name in value:
-                validate(value[name], hints[name], join(path, name), faults)
-        return
+        return _struct(value, kind, path, faults, units)
     if isinstance(value, dict) and get_origin(kind) is dict:
-        for name, element in value.items():
-            validate(name, get_args(kind)[0], join(path, f"{name!s:.80}"), faults)
-            validate(element, get_args(kind)[1], join(path, f"{name!s:.80}"), faults)
-        return
-    elements = element_type(kind)
-    if isinstance(value, list) and elements is not None:
-        before = len(faults)
-        for k, element in enumerate(value):
-            validate(element, elements, f"{path}[{k}]", faults)
-        if len(faults) > before:
-            return
+        names, kinds = get_args(kind)
+        for name in value:
+            validated(name, names, join(path, f"{name!s:.80}"), faults)
+        parts = ((name, validated(it, kinds, join(path, f"{name!s:.80}"), faults, units)) for name, it in value.items())
+        return dict(parts)
+    elements = element_types(kind, len(value)) if isinstance(value, list) else None
+    before = len(faults)
+    if elements is not None:
+        listed = zip(value, elements, strict=True)
+        value = [validated(it, own, f"{path}[{k}]", faults, units) for k, (it, own) in enumerate(listed)]
+    if isinstance(value, str) and (known := units.get(description_of(kind))) is not None:
+        number = value_in(value, known)
+        value = value if number is None else number
+    if len(faults) == before:
+        _scalar(value, kind, path, faults)
+    return value
+
+
+def _struct(value: dict[str, Any], kind: type[Struct], path: str, faults: list[str], units: Factors) -> dict[str, Any]:
+    hints = get_type_hints(kind, include_extras=True)
+    config = kind.__struct_config__
+    known = set(kind.__struct_encode_fields__) | ({config.tag_field} if config.tag_field else set())
+    faults += [f"{join(path, name)}: {unknown_field(name, known)}" for name in value if name not in known]
+    required = [f for f in msgspec.structs.fields(kind) if f.required]
+    faults += [f"{join(path, f.name)}: required, but missing" for f in required if f.name not in value]
+    own = {
+        name: validated(value[name], hints[name], join(path, name), faults, units)
+        for name in kind.__struct_fields__
+        if name in value
+    }
+    return {**value, **own}
+
+
+def _scalar(value: Any, kind: Any, path: str, faults: list[str]) -> None:
+    """Appends the fault of a value whose parts are right, or that has none."""
     if isinstance(value, float) and not math.isfinite(value):
         faults.append(f"{path}: {value} is not a finite number")
         return
@@ -123,7 +143,7 @@ def union_member(value: Any, kind: Any) -> Any:
         if tagged or untagged:
             return (tagged or untagged)[0]
     if isinstance(value, list):
-        lists = [m for m in members if element_type(m) is not None]
+        lists = [m for m in members if element_types(m, len(value)) is not None]
         if lists:
             return lists[0]
     return kind
@@ -138,11 +158,17 @@ def is_kind(value: Any, kind: Any) -> bool:
     return True
 
 
-def element_type(kind: Any) -> Any:
-    """Returns the element type of a list type, also behind Annotated; None for any other type."""
+def element_types(kind: Any, count: int) -> list[Any] | None:
+    """Returns the types of `count` elements of a list or tuple type, also behind Annotated; None for another type.
+
+    A tuple of another length has no element types: its length is the fault.
+    """
     if hasattr(kind, "__metadata__"):
         kind = kind.__origin__
-    return get_args(kind)[0] if get_origin(kind) is list else None
+    if get_origin(kind) is list:
+        return [get_args(kind)[0]] * count
+    types = list(get_args(kind)) if get_origin(kind) is tuple else []
+    return types if types and len(types) == count else None
 
 
 def join(path: str, name: object) -> str:

@@ -20,6 +20,7 @@ from hyperbit.controller.calibration.model import Array, Model
 from hyperbit.controller.calibration.parameters import (
     Description,
     Parameter,
+    chosen_parameters,
     described,
     frame_of,
     parameters,
@@ -73,7 +74,9 @@ class Calibration:
     after: PoseResiduals  # residuals of the calibrated arm
     held_out: PoseResiduals  # cross-validated residuals: arms fitted to four folds, evaluated on the fifth
     held_out_base_only: PoseResiduals  # cross-validated residuals with only the base fitted
-    better: bool  # whether `held_out` beats `held_out_base_only`: in mean square, by more than two standard errors
+    # whether `held_out` beats `held_out_base_only`, or the file if only the base is fitted: in mean square, by more
+    # than two standard errors
+    better: bool
     noise: Array  # standard deviation of a coordinate, and of an angle [rad] if orientations were measured
     undetermined: int  # number of directions in parameter space that the file determines, not the samples
     changes: tuple[ParameterChange, ...]
@@ -109,10 +112,13 @@ class FitJob(NamedTuple):
             yield FitPair(fit(model, seen, length), fit(base_model, seen, length))
 
 
-def calibrated(arm: Arm, samples: Samples, *, each: bool, spread: Spread = alone) -> Calibration:
+def calibrated(
+    arm: Arm, samples: Samples, *, each: bool, parts: Sequence[str] | None = None, spread: Spread = alone
+) -> Calibration:
     """Returns the calibration of an arm, with fits computed by `spread`.
 
-    If `each`, each module, and each leg of a truss, has its own parameters.
+    If `each`, each module of each repetition, and each leg of a truss, has its own parameters. Beside the base only
+    `parts` are fitted, see chosen_parameters; None: all.
 
     Raises:
         CannotFit: there are too few samples or too many parameters, or most samples are far from the arm.
@@ -121,7 +127,10 @@ def calibrated(arm: Arm, samples: Samples, *, each: bool, spread: Spread = alone
         raise CannotFit(f"{len(samples.tips)} samples, at least {FEWEST} are needed")
     length = arm.manipulator.length
     in_file = described(arm, each=each)
-    chosen = parameters(in_file, length, len(arm.manipulator.modules))
+    try:
+        chosen = chosen_parameters(parameters(in_file, length, len(arm.manipulator.modules)), parts)
+    except ValueError as error:
+        raise CannotFit(str(error)) from None
     if len(chosen) > MOST_PARAMETERS:
         raise CannotFit(f"{len(chosen)} numbers would be fitted, at most {MOST_PARAMETERS} can be")
     fold = folds(samples.configurations)
@@ -132,6 +141,9 @@ def calibrated(arm: Arm, samples: Samples, *, each: bool, spread: Spread = alone
     original = Model(in_file, chosen)
     kept, still = samples.only(found.kept), np.zeros(len(chosen))
     unseen, unseen_base = held_out(arm, samples, in_file, chosen, fold, by_fold)
+    rival = unseen_base
+    if all(it.part == ("base",) for it in chosen):
+        rival = [(original, seen, still) for _, seen, _ in unseen]
     return Calibration(
         samples=len(samples.tips),
         outliers=tuple(samples.lines[~found.kept].tolist()),
@@ -140,7 +152,7 @@ def calibrated(arm: Arm, samples: Samples, *, each: bool, spread: Spread = alone
         after=pose_residuals([(Model(new, chosen), kept, still)]),
         held_out=pose_residuals(unseen),
         held_out_base_only=pose_residuals(unseen_base),
-        better=better(unseen, unseen_base),
+        better=better(unseen, rival),
         noise=found.noise,
         undetermined=found.undetermined,
         changes=tuple(
@@ -186,7 +198,9 @@ def onto(points: Array, others: Array) -> Frame:
 def models(arm: Arm, samples: Samples, in_file: Description, chosen: Sequence[Parameter]) -> tuple[Model, Model]:
     """Returns two models to fit: one with all parameters, one with those of the base only."""
     description = {**in_file, "base": base_under(arm, samples)}
-    return Model(description, chosen), Model(description, [parameter for parameter in chosen if parameter.part == 0])
+    return Model(description, chosen), Model(
+        description, [parameter for parameter in chosen if parameter.part == ("base",)]
+    )
 
 
 def folds(configurations: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -8,14 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.arm.chain import build_modules
-from hyperbit.controller.armfile.settings import ModuleSettings
+from hyperbit.controller.armfile.modules import ModuleSettings
 from hyperbit.controller.calibration.parameters import (
     Description,
     Key,
     Parameter,
     changed,
+    entries_of,
     frame_of,
     moved,
+    places_of,
     replaced,
     value_at,
 )
@@ -24,6 +26,7 @@ from hyperbit.controller.calibration.samples import Samples
 from hyperbit.controller.manipulator.frames import Frame
 
 Array = NDArray[np.float64]
+Place = tuple[Key, ...]  # of a part in the description
 
 NUDGE = 1e-6  # step of finite differences, as a share of a parameter's prior
 
@@ -31,8 +34,8 @@ NUDGE = 1e-6  # step of finite differences, as a share of a parameter's prior
 class Model:
     """An arm's description with P parameters that may change.
 
-    Part 0 is the base, part g + 1 is entry g of `modules`, part -1 the tip if there is one. A part has one kind of
-    module, or two kinds that alternate, each with frames (K, 4, 4).
+    A part is the base, an entry of modules, also one in a group, or the tip if there is one. It has one kind of module,
+    or two kinds that alternate, each with frames (K, 4, 4).
 
     Attributes:
         description: description of the arm, as in the file or with another base.
@@ -40,14 +43,13 @@ class Model:
 
     def __init__(self, description: Description, parameters: Sequence[Parameter]) -> None:
         self.description, self.parameters = description, tuple(parameters)
-        self._first = [frames_of(part) for part in parts(description)]
+        self._first = {where: frames_of(part) for where, part in parts(description).items()}
         self._alike: dict[tuple[Key, ...], list[int]] = {}
         for p, parameter in enumerate(self.parameters):
             self._alike.setdefault(parameter.where, []).append(p)
-        self._places = [(0, 0)]
-        for g, entry in enumerate(description["modules"], 1):
-            self._places += [(g, k % len(self._first[g])) for k in range(entry["count"])]
-        self._places += [(-1, 0)] * ("tip" in description)
+        self._places: list[tuple[Place, int]] = [(("base",), 0)]
+        self._places += [(where, k % len(self._first[where])) for where, k in places_of(description)]
+        self._places += [(("tip",), 0)] * ("tip" in description)
 
     def changed(self, steps: Array) -> Description:
         return changed(self.description, self.parameters, steps)
@@ -102,15 +104,15 @@ class Model:
         """Returns the states (n, C) of the base, always 0, of the modules, and of the tip, always 0."""
         return np.pad(samples.configurations, ((0, 0), (1, int("tip" in self.description))))
 
-    def _chain(self, samples: Samples, stacks: list[list[Frame]]) -> list[Frame]:
+    def _chain(self, samples: Samples, stacks: dict[Place, list[Frame]]) -> list[Frame]:
         """Returns the frames (n, 4, 4) below each place of the chain, and the tips."""
         chain, chosen = [np.tile(np.eye(4), (len(samples.tips), 1, 1))], self._chosen(samples)
         for i, (part, kind) in enumerate(self._places):
             chain.append(chain[-1] @ stacks[part][kind][chosen[:, i]])
         return chain
 
-    def _frames(self, description: Description) -> list[list[Frame]]:
-        return [frames_of(part, near) for part, near in zip(parts(description), self._first, strict=True)]
+    def _frames(self, description: Description) -> dict[Place, list[Frame]]:
+        return {where: frames_of(part, self._first[where]) for where, part in parts(description).items()}
 
     def _slopes(self, description: Description, parameter: Parameter, steps: Array, stacks: list[Frame]) -> list[Array]:
         """Returns the derivatives (K, 4, 4) of the frames of a part's kinds by one of its parameters."""
@@ -133,8 +135,10 @@ def slopes(frames_at: Callable[[float], list[Frame]], step: float) -> list[Array
     return [(more - less) / (2 * step) for less, more in zip(frames_at(-step), frames_at(step), strict=True)]
 
 
-def parts(description: Description) -> list[Description]:
-    return [description["base"], *description["modules"], *([description["tip"]] if "tip" in description else [])]
+def parts(description: Description) -> dict[Place, Description]:
+    """Returns base, entries of modules, and tip if there is one, by their places."""
+    frames: dict[Place, Description] = {(name,): description[name] for name in ("base", "tip") if name in description}
+    return {**frames, **entries_of(description)}
 
 
 def frames_of(part: Description, near: list[Frame] | None = None) -> list[Frame]:

@@ -1,11 +1,12 @@
 """The numbers of an arm's file that calibration changes, with prior standard deviations.
 
-They are the numbers of the modules' geometry, of the base frame, and of the tip frame if the file has one. Modules of
-one entry share their parameters. The axes of joints do not change; the link behind a joint may turn instead.
+They are the numbers of the modules' geometry, of the base, and of the tip if the file has one. Modules of one entry
+share their parameters, also in the repetitions of a group. The axes of joints do not change; the link behind a joint
+may turn instead.
 """
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from operator import getitem
@@ -16,6 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.armfile.modules import ChainEntry, GroupSettings, chain, places
+from hyperbit.controller.armfile.names import shortened
+from hyperbit.controller.armfile.places import counted
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.manipulator.frames import Frame
 from hyperbit.controller.manipulator.vgt import ACTUATORS
@@ -38,36 +42,53 @@ class Parameter:
     axis: int | None = None  # axis of the frame about which it turns, 0 to 2; None: a number to add to
 
     @property
-    def part(self) -> int:
-        """0 for the base, then the entries of `modules`; -1 for the tip."""
-        return 1 + int(self.where[1]) if self.where[0] == "modules" else -1 if self.where[0] == "tip" else 0
+    def part(self) -> tuple[Key, ...]:
+        """Place of the base, of the tip, or of an entry of modules, also one in a group."""
+        end = 0
+        while self.where[end] == "modules":
+            end += 2
+        return self.where[: max(end, 1)]
 
     @property
     def path(self) -> str:
-        path = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in self.where)[1:]
+        path = "".join(map(key_text, self.where))[1:]
         return path if self.axis is None else f"{path} about {'xyz'[self.axis]}"
 
 
 def described(arm: Arm, *, each: bool) -> Description:
     """Returns the base and modules of an arm's file, with tables written out.
 
-    If `each`, each module has an entry, and each leg of a truss its own lengths.
+    If `each`, each module of each repetition has an entry, and each leg of a truss its own lengths.
     """
-    planar, modules, entries, place = arm.manipulator.planar, arm.manipulator.modules, list[Description](), 0
-    for group in arm.settings.modules:
-        entry = msgspec.json.decode(msgspec.json.encode(group))
-        if entry["type"] == "transforms":
-            entry = {"type": "transforms", "count": group.count}
-            stack = modules[place].frames
-            if arm.tip is not None and place == len(modules) - 1:
-                stack = stack @ frames.inverse(arm.tip)
-            entry["states"] = [written(frame, planar=planar) for frame in stack]
-        if "link" in entry:
-            entry["link"] = written(frame_of(entry["link"]), planar=planar)
-        place += group.count
-        entries += [single(entry, k) for k in range(group.count)] if each else [entry]
+    planar, first, where = arm.manipulator.planar, dict[str, int](), places(arm.settings.modules)
+    for k, entry in enumerate(where):
+        first.setdefault(entry.path, k)
+    if each:
+        flat = chain(arm.settings.modules)
+        entries = [single(plain_entry(arm, it, first), k) for it in flat for k in range(it.settings.count)]
+    else:
+        entries = list[Description]()
+        for g, it in enumerate(arm.settings.modules):
+            own = [plain_entry(arm, where[k], first) for path, k in first.items() if path.startswith(f"modules[{g}]")]
+            group = isinstance(it, GroupSettings)
+            entries += [{"type": "group", "count": it.count, "modules": own}] if group else own
     tip = {} if arm.tip is None else {"tip": written(arm.tip, planar=planar)}
     return {"base": written(arm.manipulator.base, planar=planar), "modules": entries, **tip}
+
+
+def plain_entry(arm: Arm, entry: ChainEntry, first: Mapping[str, int]) -> Description:
+    """Returns an entry as plain values, with a table written out; `first`: its first module, by path."""
+    planar, modules, group = arm.manipulator.planar, arm.manipulator.modules, entry.settings
+    plain: Description = msgspec.json.decode(msgspec.json.encode(group))
+    if plain["type"] == "transforms":
+        stack, place = modules[first[entry.path]].frames, first[entry.path]
+        if arm.tip is not None and place == len(modules) - 1:
+            stack = stack @ frames.inverse(arm.tip)
+        states = [written(frame, planar=planar) for frame in stack]
+        plain = {"type": "transforms", "count": group.count, "states": states}
+    if "link" in plain:
+        plain["link"] = written(frame_of(plain["link"]), planar=planar)
+    return plain
 
 
 def single(entry: Description, k: int) -> Description:
@@ -102,8 +123,8 @@ def parameters(description: Description, length: float, modules: int) -> tuple[P
     found = list(of_frame(("base",), description["base"], length, np.pi))
     if "tip" in description:
         found += of_frame(("tip",), description["tip"], LENGTHS * length / modules, ANGLES)
-    for g, entry in enumerate(description["modules"]):
-        where, size = ("modules", g), LENGTHS * length / modules
+    for where, entry in entries_of(description).items():
+        size = LENGTHS * length / modules
         for name in ("width", "lengths", "base", "top", "angles", "cylinders"):
             turns = entry["type"] == "revolute" and name != "width"
             found += [
@@ -114,6 +135,54 @@ def parameters(description: Description, length: float, modules: int) -> tuple[P
         for k, state in enumerate(entry.get("states", [])):
             found += of_frame((*where, "states", k), state, size, ANGLES)
     return tuple(found)
+
+
+def entries_of(description: Description) -> dict[tuple[Key, ...], Description]:
+    """Returns the entries of modules by their places, those of groups once, base first."""
+    found: dict[tuple[Key, ...], Description] = {}
+    for g, entry in enumerate(description["modules"]):
+        if entry["type"] != "group":
+            found["modules", g] = entry
+        else:
+            found |= {("modules", g, "modules", j): own for j, own in enumerate(entry["modules"])}
+    return found
+
+
+def places_of(description: Description) -> list[tuple[tuple[Key, ...], int]]:
+    """Returns the place of the entry of each module of the chain, and the module's number in the entry, from 0."""
+    found, own = list[tuple[tuple[Key, ...], int]](), entries_of(description)
+    for g, entry in enumerate(description["modules"]):
+        group = entry["type"] == "group"
+        parts = [place for place in own if place[1] == g]
+        for _ in range(entry["count"] if group else 1):
+            found += [(place, k) for place in parts for k in range(own[place]["count"])]
+    return found
+
+
+def chosen_parameters(every: Sequence[Parameter], parts: Sequence[str] | None) -> tuple[Parameter, ...]:
+    """Returns those of the base, and those of the named parts; None: all.
+
+    A part is the beginning of a path whose positions count from 1, such as "tip", "modules[2]" or "modules[1].link".
+    Raises ValueError if a part has no parameter.
+    """
+    if parts is None:
+        return tuple(every)
+    found = {part: [it for it in every if within(counted(it.path), part)] for part in parts}
+    for part, own in found.items():
+        if not own:
+            known = dict.fromkeys(counted("".join(key_text(key) for key in it.part)[1:]) for it in every)
+            raise ValueError(f"{part!r} has no numbers to fit; parts are {shortened(list(known))}")
+    named = {it for own in found.values() for it in own}
+    return tuple(it for it in every if it.part == ("base",) or it in named)
+
+
+def within(path: str, part: str) -> bool:
+    """Returns whether a path is that of a part, or of something in it."""
+    return path.startswith(part) and path[len(part) : len(part) + 1] in ("", ".", "[", " ")
+
+
+def key_text(key: Key) -> str:
+    return f"[{key}]" if isinstance(key, int) else f".{key}"
 
 
 def of_frame(where: tuple[Key, ...], frame: Description, length: float, angle: float) -> Iterator[Parameter]:

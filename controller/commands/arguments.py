@@ -27,7 +27,9 @@ ZenohFile = Annotated[Path | None, typer.Option("--zenoh", help="Zenoh configura
 
 # Of searches and studies
 MOST_WORKERS = 1024
-Tolerance = Annotated[float | None, typer.Option(help="Position tolerance. Default: the arm's.")]
+Tolerance = Annotated[
+    float | None, typer.Option(help="Position tolerance, in the unit of the arm's file. Default: the arm's.")
+]
 Workers = Annotated[
     int, typer.Option(min=1, max=MOST_WORKERS, help="Number of processes on this computer that share the work.")
 ]

@@ -16,7 +16,7 @@ from hyperbit.controller.library.errors import (
 )
 from hyperbit.controller.library.goals import Goal
 from hyperbit.controller.library.many import map
-from hyperbit.controller.library.modules import Module, platform, prismatic, revolute, transforms, vgt
+from hyperbit.controller.library.modules import Module, group, platform, prismatic, revolute, transforms, vgt
 from hyperbit.controller.library.obstacles import Box, Disc, HalfPlane, HalfSpace, Obstacle, Sphere
 from hyperbit.controller.library.path import Path
 from hyperbit.controller.library.plot import plot
@@ -52,6 +52,7 @@ __all__ = [
     "Sphere",
     "StudyError",
     "calibrate",
+    "group",
     "load",
     "map",
     "platform",

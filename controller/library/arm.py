@@ -42,6 +42,7 @@ class Arm:
     Args:
         modules: entries of the chain, base first, see `vgt`, `revolute`, `prismatic`, `platform` and `transforms`.
         name: letters, digits, "_" and "-".
+        unit: unit of all lengths of the arm, "m", "cm", "mm" or "in", for pictures and ROS 2; None: not named.
         base: position (2,) or (3,), or frame (4, 4), of the first module in the world; the origin if None.
         tip: position (2,) or (3,), or frame (4, 4), of the tool's tip in the last module's frame; that frame if None.
         tolerance: greatest distance of the tip from goals that have no tolerance.
@@ -60,6 +61,7 @@ class Arm:
         modules: Sequence[Module],
         *,
         name: str = "arm",
+        unit: str | None = None,
         base: ArrayLike | None = None,
         tip: ArrayLike | None = None,
         tolerance: Number = 2e-3,
@@ -75,6 +77,7 @@ class Arm:
             raise ArmError(faults, name)
         fields = {
             "name": name,
+            "unit": unit,
             "modules": list(modules),
             "base": frame_settings((0.0, 0.0) if base is None else base, "base"),
             "tip": None if tip is None else frame_settings(tip, "tip"),
@@ -117,6 +120,11 @@ class Arm:
     def name(self) -> str:
         """Name of the arm, also used in its daemon's Zenoh keys."""
         return self._arm.settings.name
+
+    @property
+    def unit(self) -> str | None:
+        """Unit of all lengths, "m", "cm", "mm" or "in"; None if the arm's file names none."""
+        return self._arm.settings.unit
 
     @property
     def dimension(self) -> int:

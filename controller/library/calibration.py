@@ -1,5 +1,6 @@
 """Calibration: fits an arm's geometry to measured tips."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,14 +29,18 @@ class Fitted(NamedTuple):
     report: Calibration
 
 
-def calibrate(arm: Arm, configurations: ArrayLike, tips: ArrayLike, *, each: bool = False) -> Fitted:
+def calibrate(
+    arm: Arm, configurations: ArrayLike, tips: ArrayLike, *, each: bool = False, fit: Sequence[str] | None = None
+) -> Fitted:
     """Fits modules and base of an arm to measured tips.
 
     Args:
         arm: the arm before calibration.
         configurations: configurations of the measurements, shape (n, B).
         tips: measured tips in the world: positions, shape (n, dimension), or frames, shape (n, 4, 4).
-        each: fit each module, and each leg of a truss, separately.
+        each: fit each module, also each repetition of a group, and each leg of a truss, separately.
+        fit: parts to fit beside the base, such as "tip", "modules[2]" or "modules[1].link", counted from 1; none: the
+            base only; None: all.
 
     Raises:
         CalibrationError: there are too few samples, the shapes do not match, or no arm of this kind fits the samples.
@@ -56,7 +61,7 @@ def calibrate(arm: Arm, configurations: ArrayLike, tips: ArrayLike, *, each: boo
     if not np.isfinite(frames).all():
         raise CalibrationError("tips: finite numbers are needed")
     try:
-        report = calibrated(arm._arm, Samples(rows, frames, oriented, np.arange(len(rows))), each=each)
+        report = calibrated(arm._arm, Samples(rows, frames, oriented, np.arange(len(rows))), each=each, parts=fit)
     except CannotFit as error:
         raise CalibrationError(str(error)) from None
     fields: dict[str, Any] = {"name": arm.name, "tolerance": {"position": arm.tolerance}, **report.description}

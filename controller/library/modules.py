@@ -5,28 +5,29 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, to_builtins
 from numpy.typing import ArrayLike
 
 from hyperbit.controller.arm import arm as config
-from hyperbit.controller.armfile.settings import (
-    ArmSettings,
-    Diagonal,
+from hyperbit.controller.armfile.fields import Diagonal
+from hyperbit.controller.armfile.modules import (
+    EntrySettings,
     FrameSettings,
-    ModuleSettings,
+    GroupSettings,
     PlatformSettings,
     PrismaticSettings,
     RevoluteSettings,
     TransformsSettings,
     VgtSettings,
 )
+from hyperbit.controller.armfile.settings import ArmSettings
 from hyperbit.controller.armfile.strict import InputFaults, check
 from hyperbit.controller.library.errors import ArmError
 from hyperbit.controller.manipulator import frames
 
 S = TypeVar("S", bound=Struct)
 
-Module = ModuleSettings
+Module = EntrySettings
 
 RIGID = 1e-6  # greatest difference of R^T R from the identity
 
@@ -164,6 +165,19 @@ def transforms(states: ArrayLike, *, count: int = 1) -> TransformsSettings:
     planar = all(in_plane(frame) for frame in stack)
     listed = [frame_fields(frame, planar=planar) for frame in stack]
     return checked(TransformsSettings, {"states": listed, "count": count}, "transforms")
+
+
+def group(modules: Sequence[Module], count: int) -> GroupSettings:
+    """Returns `count` repetitions of a list of modules, such as a slide and a joint; calibration shares their numbers.
+
+    Args:
+        modules: entries of the chain, base first; none of them a group.
+        count: number of repetitions.
+
+    Raises:
+        ArmError: a module is a group, or the count is out of its bounds.
+    """
+    return checked(GroupSettings, {"modules": to_builtins(list(modules)), "count": count}, "group")
 
 
 def placement(given: ArrayLike) -> dict[str, Any]:

@@ -33,7 +33,7 @@ def plot(
     obstacles: Sequence[Obstacle] = (),
     targets: ArrayLike = (),
     title: str | None = None,
-    unit: str = "m",
+    unit: str | None = None,
     density: bool = True,
 ) -> Figure:
     """Returns a matplotlib figure: the arm in the world, over the density of its tips if it is planar.
@@ -45,7 +45,7 @@ def plot(
         obstacles: further obstacles, such as the solver's.
         targets: further positions, drawn as crosses, shape (n, dimension).
         title: title of the picture; None: the arm's name.
-        unit: unit of length, for the axes.
+        unit: unit of length, for the axes; None: the arm's.
         density: whether to draw the density of a planar arm.
 
     Raises:
@@ -53,6 +53,7 @@ def plot(
         ConfigurationError: the arm has no such configuration.
     """
     curve: ArrayLike = ()
+    unit = arm.unit if unit is None else unit
     match drawn:
         case Path():
             curve = drawn.positions

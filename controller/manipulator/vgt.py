@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperbit.controller.armfile.settings import Diagonal
+from hyperbit.controller.armfile.fields import Diagonal
 from hyperbit.controller.manipulator.displacement_rates import truss_rates
 from hyperbit.controller.manipulator.frames import Frame, planar
 from hyperbit.controller.manipulator.module import Array, Module, binary_code

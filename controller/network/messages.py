@@ -244,6 +244,7 @@ class Description(Struct):
     name: str = ""
     version: str | None = None
     dimension: Literal[2, 3] = 2
+    unit: str | None = None
     actuators: list[str] = []
     poses: list[Pose] = []
     obstacles: list[Region] = []

@@ -64,4 +64,4 @@ def save(path: Path, arm: Arm, densities: Densities, results: list[ExperimentRes
         reached = {f"({result.target[0]:g}, {result.target[1]:g})": result.configuration for result in own}
         configurations = {name: parse_configuration(arm.manipulator, text) for name, text in reached.items()}
         subplots.append(plots.Subplot(TITLES[method], configurations, [result.target for result in own]))
-    plots.save(path, arm.manipulator, densities, subplots)
+    plots.save(path, arm.manipulator, densities, subplots, arm.settings.unit)

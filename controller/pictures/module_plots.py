@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperbit.controller.armfile.settings import Diagonal
+from hyperbit.controller.armfile.fields import Diagonal
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.manipulator.joints import prismatic, revolute
 from hyperbit.controller.manipulator.manipulator import Manipulator

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hyperbit.controller.armfile.units import unit_name
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.obstacles.distance import BOX, SPHERE
 from hyperbit.controller.obstacles.obstacles import NONE, Obstacles
@@ -51,13 +52,13 @@ def save(
     manipulator: Manipulator,
     densities: Densities | None,
     subplots: Sequence[Subplot],
-    unit: str = "m",
+    unit: str | None = None,
     obstacles: Obstacles = NONE,
 ) -> None:
     """Writes a picture of the subplots side by side, in the format of the path's suffix.
 
     A planar arm is drawn without densities if they are None, a spatial arm always. `unit` is that of length, for the
-    axes. Raises OSError, or ValueError for a suffix that matplotlib does not know.
+    axes; None: that of the arm's file. Raises OSError, or ValueError for a suffix that matplotlib does not know.
     """
     figure(manipulator, densities, subplots, unit, obstacles).savefig(path, dpi=150, bbox_inches="tight")
 
@@ -66,7 +67,7 @@ def figure(
     manipulator: Manipulator,
     densities: Densities | None,
     subplots: Sequence[Subplot],
-    unit: str = "m",
+    unit: str | None = None,
     obstacles: Obstacles = NONE,
 ) -> Figure:
     """Returns the picture that `save` writes; without densities if they are None."""
@@ -83,7 +84,7 @@ def figure(
             draw_spatial(axes, manipulator, subplot, unit, obstacles)
     if shades is not None:
         bar = result.colorbar(shades, ax=result.axes, extend="max", shrink=0.7, aspect=30, pad=0.02)
-        bar.set_label(f"point density [1/{unit}²]")
+        bar.set_label(f"point density [1/({unit_name(unit)})²]" if unit is None else f"point density [1/{unit}²]")
         bar.ax.yaxis.set_major_formatter(lambda power, _: f"$10^{{{power:g}}}$")
     return result
 
@@ -93,7 +94,7 @@ def draw(
     manipulator: Manipulator,
     densities: Densities | None,
     subplot: Subplot,
-    unit: str = "m",
+    unit: str | None = None,
     obstacles: Obstacles = NONE,
 ) -> Any:
     """Draws a planar arm in the world over the density of W_0; returns the image of the density, or None."""
@@ -116,7 +117,7 @@ def draw(
         low, high = widened(low, high)
     draw_obstacles(axes, obstacles, low, high)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", title=subplot.title)
-    axes.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
+    axes.set(xlabel=f"x [{unit_name(unit)}]", ylabel=f"y [{unit_name(unit)}]")
     add_legend(axes)
     return shades
 
@@ -150,7 +151,7 @@ def draw_density(axes: Axes, manipulator: Manipulator, densities: Densities) -> 
 
 
 def draw_spatial(
-    axes: Any, manipulator: Manipulator, subplot: Subplot, unit: str = "m", obstacles: Obstacles = NONE
+    axes: Any, manipulator: Manipulator, subplot: Subplot, unit: str | None = None, obstacles: Obstacles = NONE
 ) -> None:
     """Draws a spatial arm in the world, on matplotlib's 3-D axes, without its density."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
@@ -171,7 +172,7 @@ def draw_spatial(
     ticks = MaxNLocator(5).tick_values(0.0, (high - low).max())
     for axis, name in ((axes.xaxis, "x"), (axes.yaxis, "y"), (axes.zaxis, "z")):
         axis.set_major_locator(MultipleLocator(ticks[1] - ticks[0]))
-        axis.set_label_text(f"{name} [{unit}]")
+        axis.set_label_text(f"{name} [{unit_name(unit)}]")
         axis.labelpad = 10
     axes.set_box_aspect(high - low, zoom=0.9)  # smaller, so that the labels stay in the picture
     add_legend(axes)

@@ -1,7 +1,7 @@
 """The arm's drawing for Foxglove: frames of all modules, and entities of modules, goal and obstacles.
 
 The frame of each module is a child of the frame before it. A module is drawn in the frame before it, in its measured
-state, so that its entity changes only with its own actuators.
+state, so that its entity changes only with its own actuators. All lengths are metres, as Foxglove and ROS 2 want them.
 """
 
 import itertools
@@ -10,6 +10,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from hyperbit.controller.armfile.units import metres_of
+from hyperbit.controller.manipulator.described import in_metres
 
 Message = Mapping[str, Any]
 Colour = tuple[float, float, float, float]
@@ -34,6 +37,8 @@ class FoxgloveScene:
     """
 
     def __init__(self, arm: Message) -> None:
+        self._metres = metres_of(arm.get("unit"))  # of a unit of the daemon's messages
+        arm = in_metres(arm)
         self._name, self._planar = str(arm["name"]), arm["dimension"] == 2
         self._length = float(arm["length"])
         self._base = np.array(arm["base"], dtype=float).reshape(4, 4)
@@ -81,7 +86,8 @@ class FoxgloveScene:
             entities.append(entity(f"module {m + 1}", f"{self._name}/{m}", stamp, lines=[lines]))
         target = (state.get("target") or {}).get("position")
         size = self._length * GOAL_SIZE
-        spheres = [] if target is None else [{**solid(target, [size] * 3), "color": rgba(GOAL)}]
+        centre = [] if target is None else [x * self._metres for x in target]
+        spheres = [{**solid(centre, [size] * 3), "color": rgba(GOAL)}] if centre else []
         entities.append(entity("goal", "world", stamp, spheres=spheres))
         entities.append(entity("obstacles", "world", stamp, **self._regions()))
         return {"deletions": [], "entities": entities}

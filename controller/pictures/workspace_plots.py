@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hyperbit.controller.armfile.units import unit_mark, unit_name
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.pictures.orientation_plots import ORANGE, draw_angles, draw_rotations
 from hyperbit.controller.pictures.plots import DARKEST, LIGHTEST
@@ -63,12 +64,12 @@ def draw_workspace(
     point: ArrayLike | None = None,
     orientations: Orientations | None = None,
     title: str = "",
-    unit: str = "m",
+    unit: str | None = None,
 ) -> Figure:
     """Returns the picture of a workspace: one row for a planar arm, a row of slices for each field of a spatial arm.
 
     `point` is a position in the world to mark, through which slices go; None: the densest pixel of the first field.
-    `orientations` are those at the point, if they are to be drawn. `unit` is that of length, for the axes.
+    `orientations` are those at the point, if they are to be drawn. `unit` is that of length; None: the file's.
     """
     from matplotlib.figure import Figure
 
@@ -106,7 +107,7 @@ def densest(field: Field) -> Array:
     return np.asarray(field.reference + field.pixel * np.array([x, y, z]))
 
 
-def draw_plane(axes: Any, manipulator: Manipulator, field: Field, point: ArrayLike | None, unit: str) -> None:
+def draw_plane(axes: Any, manipulator: Manipulator, field: Field, point: ArrayLike | None, unit: str | None) -> None:
     from matplotlib.transforms import Affine2D
 
     base = manipulator.base[np.ix_([0, 1, 3], [0, 1, 3])]
@@ -119,10 +120,10 @@ def draw_plane(axes: Any, manipulator: Manipulator, field: Field, point: ArrayLi
         axes.plot(*np.asarray(point)[:2], "x", color="black", markersize=9, markeredgewidth=2, label="point")
     low, high = corners.min(axis=0), corners.max(axis=0)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", title=field.title)
-    axes.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
+    axes.set(xlabel=f"x [{unit_name(unit)}]", ylabel=f"y [{unit_name(unit)}]")
 
 
-def draw_slices(figure: Any, field: Field, centre: Array, unit: str, *, cross: bool) -> None:
+def draw_slices(figure: Any, field: Field, centre: Array, unit: str | None, *, cross: bool) -> None:
     """Draws the slices of a spatial arm's field through a point of the base frame."""
     figure.suptitle(field.title)
     index = np.clip(np.round((centre - field.reference) / field.pixel).astype(int), 0, field.counts.shape[::-1])
@@ -138,8 +139,11 @@ def draw_slices(figure: Any, field: Field, centre: Array, unit: str, *, cross: b
         if cross:
             axes.plot(centre[across], centre[up], "x", color="black", markersize=9, markeredgewidth=2)
         names = "xyz"
-        axes.set(xlabel=f"{names[across]} of the base [{unit}]", ylabel=f"{names[up]} of the base [{unit}]")
-        axes.set(aspect="equal", title=f"{names[cut]} = {centre[cut]:.3g} {unit}")
+        axes.set(
+            xlabel=f"{names[across]} of the base [{unit_name(unit)}]",
+            ylabel=f"{names[up]} of the base [{unit_name(unit)}]",
+        )
+        axes.set(aspect="equal", title=f"{names[cut]} = {centre[cut]:.3g}{unit_mark(unit)}")
     add_key(figure, figure.axes, [field])
 
 

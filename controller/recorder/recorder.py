@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from hyperbit.controller.armfile.units import METRES_TAKEN
 from hyperbit.controller.decoding.decoding import OTHER_FORM, Unreadable, decode
 from hyperbit.controller.network.listener import Listener, ReceivedMessage
 from hyperbit.controller.network.messages import read
@@ -164,12 +165,15 @@ class Recorder:
         if data == self.description:
             return
         try:
-            self._scene = FoxgloveScene(read("arm", data))
+            arm = read("arm", data)
+            self._scene = FoxgloveScene(arm)
         except OTHER_FORM as error:
             self._say(WARNING, f"the daemon's description of the arm cannot be drawn: {error}", at)
             self._scene = None
         else:
             self.description, self._drawn = data, None
+            if arm.get("unit") is None:
+                log.warning("arm %s: scenes: %s", self._arm, METRES_TAKEN)
             self._write_description(at)
             self._draw()
 
@@ -185,6 +189,7 @@ class Recorder:
             "recorder_version": version("hyperbit"),
             "recorder_host": platform.node(),
             "daemon_host": str((arm.get("daemon") or {}).get("host", "")),
+            "unit": str(arm.get("unit") or ""),
             "file": str(file.get("name", "")),
             "file_sha256": str(file.get("sha256", "")),
         }

@@ -7,8 +7,9 @@ from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from hyperbit.controller.armfile.units import METRES_TAKEN, metres_of
 from hyperbit.controller.decoding.decoding import convert
-from hyperbit.controller.manipulator.described import described
+from hyperbit.controller.manipulator.described import described, in_metres
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.pictures.scene import FoxgloveScene
 from hyperbit.controller.ros2 import messages
@@ -26,7 +27,7 @@ from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.session import Session
 
 ROSOUT = qos.Qos(durability=qos.Durability.TRANSIENT_LOCAL, depth=1000)
-SAME = ("name", "frames", "base", "actuators", "dimension", "version")  # fields that identify the node's arm
+SAME = ("name", "unit", "frames", "base", "actuators", "dimension", "version")  # fields that identify the node's arm
 MOST_SAID = 20  # sentences on /rosout in a second
 MOST_LETTERS = 1000  # of a sentence, which may quote a message from the network
 ODD = re.compile(r"[^A-Za-z0-9_]")
@@ -55,8 +56,9 @@ class ArmNode:
         self._arm, self._world = arm, settings.world
         if not isinstance(arm["name"], str):
             raise TypeError(f"name: {arm['name']!r}")
-        self._manipulator = described(arm)
-        self._place = Place(settings.world, str(arm["name"]), self._manipulator.base, int(arm["dimension"]))
+        self._manipulator = described(in_metres(arm))
+        base, metres = self._manipulator.base, metres_of(arm.get("unit"))
+        self._place = Place(settings.world, str(arm["name"]), base, int(arm["dimension"]), metres)
         self._urdf = urdf(str(arm["name"]), settings.world, self._manipulator)
         self._node_name, self._namespace = node_name(str(arm["name"]), settings.namespace)
         names.check_node(self._node_name, self._namespace)
@@ -99,6 +101,8 @@ class ArmNode:
         self._robot.publish({"data": self._urdf})
         axes = ("tip_x", "tip_y", "tip_z")[: self._place.dimension]
         self.say(INFO, f"the arm {self._arm['name']}: joints of the tip {', '.join(axes)}, tip_yaw")
+        if self._arm.get("unit") is None:
+            self.say(WARN, METRES_TAKEN)
 
     def close(self) -> None:
         """Ends the node and aborts its goals, also a goal that is being accepted."""
@@ -139,7 +143,7 @@ class ArmNode:
     def publish_state(self, state: Mapping[str, Any]) -> None:
         """Publishes joints, tip, frames and feedback of a state, and markers if they changed."""
         self._states.publish(messages.joint_state(state, self._manipulator.actuators))
-        if (tip := messages.tip_pose(state, self._world)) is not None:
+        if (tip := messages.tip_pose(state, self._place)) is not None:
             self._tips.publish(tip)
         self._frames.publish({"transforms": messages.transforms(self._scene, state, self._world)[1:]})
         self._goals.publish_feedback(state)
@@ -211,8 +215,8 @@ class ArmNode:
     def _tip_feedback(self, state: Mapping[str, Any], joints: Sequence[str]) -> Fields:
         target, tip = state.get("target"), state.get("tip")
         unknown = [math.nan] * len(joints)
-        wanted = tip_positions(target, joints) if target and "position" in target else unknown
-        return feedback(state, joints, wanted, tip_positions(tip, joints) if tip else unknown)
+        wanted = tip_positions(target, joints, self._place) if target and "position" in target else unknown
+        return feedback(state, joints, wanted, tip_positions(tip, joints, self._place) if tip else unknown)
 
     def _actuator_feedback(self, state: Mapping[str, Any], joints: Sequence[str]) -> Fields:
         def of(states: Sequence[int | None] | None) -> list[float]:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hyperbit.controller.pictures.scene import FoxgloveScene
-from hyperbit.controller.ros2.poses import Fields, pose, time_of
+from hyperbit.controller.ros2.poses import Fields, Place, time_of
 
 Message = Mapping[str, Any]
 
@@ -29,11 +29,11 @@ def joint_state(state: Message, labels: Sequence[str]) -> Fields:
     return {"header": header(state["stamp"]), "name": list(labels), "position": positions}
 
 
-def tip_pose(state: Message, world: str) -> Fields | None:
+def tip_pose(state: Message, place: Place) -> Fields | None:
     """Returns the geometry_msgs/msg/PoseStamped of the measured tip; None if it is not known."""
     if state.get("tip") is None:
         return None
-    return {"header": header(state["stamp"], world), "pose": pose(state["tip"])}
+    return {"header": header(state["stamp"], place.world), "pose": place.pose(state["tip"])}
 
 
 def transforms(scene: FoxgloveScene, state: Message, world: str) -> list[Fields]:
@@ -49,7 +49,7 @@ def transforms(scene: FoxgloveScene, state: Message, world: str) -> list[Fields]
 
 
 class Markers:
-    """The markers of an arm of some length, its goal and its obstacles, in the frame `world`."""
+    """The markers of an arm of some length, its goal and its obstacles, in the frame `world` [m]."""
 
     def __init__(self, scene: FoxgloveScene, arm: str, length: float, world: str) -> None:
         self.scene, self._arm, self._width, self._world = scene, arm, length * THIN, world

@@ -25,10 +25,13 @@ class BadGoal(ValueError):
 
 
 class Place(NamedTuple):
+    """The world of the arm. Lengths are metres in ROS 2, and of the arm's file in the daemon's messages."""
+
     world: str  # name of the world's frame
     arm: str  # its base has the frame "<arm>/0"
-    base: Frame  # in the world, shape (4, 4)
+    base: Frame  # in the world, shape (4, 4) [m]
     dimension: int
+    metres: float = 1.0  # of a unit of the arm's file
 
     def frame(self, name: str, where: str) -> Frame:
         """Returns a named frame (4, 4) in the world; "" is the world. Raises BadGoal unless it is world or base."""
@@ -39,11 +42,28 @@ class Place(NamedTuple):
         raise BadGoal(f"{where}.header.frame_id: {name[:100]!r}, expected {self.world!r} or '{self.arm}/0'")
 
     def position(self, frame: Frame, point: Sequence[float], where: str) -> list[float]:
-        """Returns the world coordinates of a point (3,) in a frame (4, 4). Raises BadGoal if one is too great."""
+        """Returns the world coordinates, in the daemon's unit, of a point (3,) [m] in a frame (4, 4) [m].
+
+        Raises BadGoal if one is too great.
+        """
         if any(abs(x) > FARTHEST for x in point):
             raise BadGoal(f"{where}: {max(point, key=abs):g}, expected at most {FARTHEST:g}")
-        found: list[float] = (frame @ [*point, 1.0])[: self.dimension].tolist()
+        found: list[float] = ((frame @ [*point, 1.0])[: self.dimension] / self.metres).tolist()
         return found
+
+    def pose(self, told: Mapping[str, Any]) -> Fields:
+        """Converts a pose of the daemon, with `position` and optional `orientation`."""
+        turned = told.get("orientation")
+        if turned is None:
+            turned = [0.0, 0.0, 0.0, 1.0]
+        elif isinstance(turned, float | int):
+            turned = [0.0, 0.0, math.sin(turned / 2), math.cos(turned / 2)]
+        axes = dict(zip("xyz", self.coordinates(told), strict=True))
+        return {"position": axes, "orientation": dict(zip("xyzw", map(float, turned), strict=True))}
+
+    def coordinates(self, told: Mapping[str, Any]) -> list[float]:
+        """Returns the position (3,) of a pose of the daemon [m]."""
+        return [float(x) * self.metres for x in (*told["position"], 0.0)[:3]]
 
 
 def seconds(stamp: Any) -> float:
@@ -117,17 +137,6 @@ def orientation(turned: Frame, dimension: int) -> Any:
     whole = np.eye(4)
     whole[:3, :3] = turned
     return quaternion(whole).tolist()
-
-
-def pose(told: Mapping[str, Any]) -> Fields:
-    """Converts a pose of the daemon, with `position` and optional `orientation`."""
-    x, y, z = (*told["position"], 0.0)[:3]
-    turned = told.get("orientation")
-    if turned is None:
-        turned = [0.0, 0.0, 0.0, 1.0]
-    elif isinstance(turned, float | int):
-        turned = [0.0, 0.0, math.sin(turned / 2), math.cos(turned / 2)]
-    return {"position": {"x": x, "y": y, "z": z}, "orientation": dict(zip("xyzw", map(float, turned), strict=True))}
 
 
 def yaw(told: Mapping[str, Any]) -> float:

@@ -16,7 +16,7 @@ from hyperbit.controller.ros2.goal_book import BookedGoal
 from hyperbit.controller.ros2.goals import ActionGoals
 from hyperbit.controller.ros2.jobs import CANCEL, MOST_WAITING, STOP, Jobs, Order, Passage, Say, Task, Withdrawn
 from hyperbit.controller.ros2.messages import INFO, WARN, header
-from hyperbit.controller.ros2.poses import BadGoal, Fields, Place, check_stamp, pose, seconds, waypoint
+from hyperbit.controller.ros2.poses import BadGoal, Fields, Place, check_stamp, seconds, waypoint
 from hyperbit.controller.ros2.wire.action_server import stamp_now
 from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.services import Request
@@ -144,14 +144,14 @@ class Requests:
             try:
                 goal: Fields = {"waypoints": [waypoint(message.goal, self._place, "goal", oriented=self._oriented)]}
                 if math.isfinite(message.tolerance) and message.tolerance > 0:
-                    goal["tolerance"] = {"position": float(message.tolerance)}
+                    goal["tolerance"] = {"position": float(message.tolerance) / self._place.metres}
                 answer = request(self._client, PlanAnswer, "plan", goal)
             except (BadGoal, Unanswered) as error:
                 answer = PlanAnswer(accepted=False, message=str(error))
             if not answer.accepted:
                 self._say(WARN, f"no plan: {answer.text}")
                 return {"plan": {"header": head}}
-            poses = [{"header": head, "pose": pose(msgspec.structs.asdict(it))} for it in answer.waypoints]
+            poses = [{"header": head, "pose": self._place.pose(msgspec.structs.asdict(it))} for it in answer.waypoints]
             return {"plan": {"header": head, "poses": poses}}
 
         self._answer(asked, run, {"plan": {"header": head}})

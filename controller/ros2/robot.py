@@ -1,7 +1,8 @@
 """The arm as a URDF: a link for each module frame, and a joint for each actuator.
 
 URDF knows rigid links only. Frames of modules are fixed in the contracted configuration; /tf has the measured frames. A
-joint of an actuator moves a link without geometry from 0 (contracted) to 1 (extended), as in joint_states.
+joint of an actuator moves a link without geometry from 0 (contracted) to 1 (extended), as in joint_states. Lengths are
+metres.
 """
 
 from xml.etree import ElementTree
@@ -13,7 +14,7 @@ from hyperbit.controller.manipulator.manipulator import Manipulator
 
 
 def urdf(arm: str, world: str, manipulator: Manipulator) -> str:
-    """Returns the URDF of an arm. Links of module frames are "<arm>/0" to "<arm>/B", as in /tf, then "<arm>/tip"."""
+    """Returns the URDF of an arm [m]. Links of module frames are "<arm>/0" to "<arm>/B", as in /tf, and "<arm>/tip"."""
     robot = ElementTree.Element("robot", name=arm)
     ElementTree.SubElement(robot, "link", name=world)
     frames = [manipulator.base, *(module.frames[0] for module in manipulator.modules), np.eye(4)]

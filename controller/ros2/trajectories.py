@@ -74,7 +74,7 @@ def tip_goal(goal: Any, place: Place) -> Fields:
             turned = frame[:3, :3] @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
             entry["orientation"] = orientation(turned, place.dimension)
         waypoints.append(entry)
-    return {"waypoints": waypoints, "stamp": found.stamp, **_tolerances(goal, axes)}
+    return {"waypoints": waypoints, "stamp": found.stamp, **_tolerances(goal, axes, place.metres)}
 
 
 def actuator_goal(goal: Any, manipulator: Manipulator, states: Sequence[int | None]) -> Fields:
@@ -120,10 +120,10 @@ def _configuration(manipulator: Manipulator, states: Sequence[int | None], where
     return format_configuration(manipulator, result)
 
 
-def _tolerances(goal: Any, axes: Sequence[str]) -> Fields:
+def _tolerances(goal: Any, axes: Sequence[str], metres: float) -> Fields:
     """Returns `tolerance` and `path_tolerance` of the daemon's goal. 0 means the default, and -1 no tolerance.
 
-    A position always has a tolerance: that of the arm's file.
+    `metres` is the length of a unit of the daemon. A position always has a tolerance: that of the arm's file.
     """
     result: Fields = {}
     for where, entries in (("goal_tolerance", goal.goal_tolerance), ("path_tolerance", goal.path_tolerance)):
@@ -136,11 +136,13 @@ def _tolerances(goal: Any, axes: Sequence[str]) -> Fields:
         turns = math.pi  # any orientation
     if _tolerance(goal.path_tolerance, "path_tolerance", (YAW,)) is not None:
         raise BadGoal(f"path_tolerance: {YAW}: lines are followed by position only, leave it out")
-    tolerance = {name: value for name, value in (("position", positions), ("orientation", turns)) if value is not None}
+    tolerance = {} if positions is None else {"position": positions / metres}
+    if turns is not None:
+        tolerance["orientation"] = turns
     if tolerance:
         result["tolerance"] = tolerance
     if (path := _tolerance(goal.path_tolerance, "path_tolerance", axes)) is not None:
-        result["path_tolerance"] = path
+        result["path_tolerance"] = path / metres
     return result
 
 
@@ -161,6 +163,7 @@ def time_tolerance(goal: Any) -> float | None:
     return allowed if allowed > 0 else None
 
 
-def tip_positions(told: Mapping[str, Any], joints: Sequence[str]) -> list[float]:
-    known = dict(zip(AXES, told["position"], strict=False)) | {YAW: yaw(told)}
+def tip_positions(told: Mapping[str, Any], joints: Sequence[str], place: Place) -> list[float]:
+    """Returns the values of joints of the tip [m, rad] of a pose of the daemon."""
+    known = dict(zip(AXES[: place.dimension], place.coordinates(told), strict=False)) | {YAW: yaw(told)}
     return [known.get(name, math.nan) for name in joints]

@@ -61,7 +61,7 @@ def test_the_file_is_right(tmp_path):
         ("type: vgt", "type: vtg", "3: modules[1].type: 'vtg' is unknown; did you mean 'vgt'? It must"),
         ("method: pop", "method: min-switch", "6: method: 'min-switch' is unknown; did you mean 'minimum-"),
         ("on_loss: hold", "on_loss: off", "9: boards.on_loss: false, but it must be one of hold, contract; YAML"),
-        ("e: 0.1\n", "e: 100ms\n", "5: travel_time: Expected `float | object`, got `str` (given: '100ms'); writ"),
+        ("e: 0.1\n", "e: 100mm\n", "5: travel_time: Expected `float | object`, got `str` (given: '100mm'); this"),
         ("  heartbeat", "  hartbeat", "8: boards.hartbeat: unknown field; did you mean 'heartbeat'? Known are"),
         ("name: finger\n", "name: a b\n", "1: name: Expected `str` of 1 to 64"),
         ("{position: 0.002}", "{}", "4: tolerance.position: required, but missing"),

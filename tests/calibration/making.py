@@ -46,6 +46,17 @@ SERIES = [
     {"type": "revolute", "count": 3, "cylinders": [[-0.3, 0.1], [-0.1, 0.4]], "link": {"position": [0, 0.2]}},
     {"type": "prismatic", "axis": [0, 1], "cylinders": [[0.1, 0.15], [0.0, 0.1]]},
 ]
+GROUPS = [
+    {
+        "type": "group",
+        "count": 3,
+        "modules": [
+            {"type": "prismatic", "axis": [0, 1], "cylinders": [[0, 0.05], [0, 0.1]], "link": {"position": [0, 0.1]}},
+            {"type": "revolute", "angles": [-0.4, 0.5], "link": {"position": [0, 0.1]}},
+            {"type": "vgt", "count": 2, "width": 0.2, "lengths": [0.2, 0.25]},
+        ],
+    }
+]
 ARMS = {
     "trusses": TRUSSES,
     "joints": JOINTS,
@@ -54,6 +65,7 @@ ARMS = {
     "mixed": TRUSSES + JOINTS,
     "tooled": TOOLED,
     "series": SERIES,
+    "groups": GROUPS,
 }
 
 
@@ -68,7 +80,7 @@ def erring(arm: Arm, rng: np.random.Generator, *, each: bool = False, size: floa
     """The real arm: all lengths, angles and coordinates have errors of `size`, the base of `base`."""
     description = described(arm, each=each)
     chosen = parameters(description, arm.manipulator.length, len(arm.manipulator.modules))
-    steps = rng.normal(size=len(chosen)) * [size if p.part else base for p in chosen]
+    steps = rng.normal(size=len(chosen)) * [base if p.part == ("base",) else size for p in chosen]
     return Model(Model(description, chosen).changed(steps), chosen)
 
 

@@ -55,7 +55,8 @@ def missing(value: Any, kind: Any, path: str = "") -> Iterator[str]:
 
 
 def test_the_file_has_every_field_of_the_reference() -> None:
-    found = list(missing(read_yaml(FILE), ArmSettings))
+    every = missing(read_yaml(FILE), ArmSettings)
+    found = [name for name in every if "<GroupSettings>.modules<" not in name]  # the same modules stand outside
     assert not [name for name in found if not any(field in name for field in SPATIAL)], found
 
 
@@ -75,7 +76,7 @@ def ran(hyperbit, tmp_path: Path, own_folders: None, monkeypatch: pytest.MonkeyP
 def test_commands_without_a_daemon(ran: Callable[..., str], arm: Path, tmp_path: Path) -> None:
     file = str(arm)
     assert json.loads(ran("check", file, "--json", "--picture", "arm.png"))["warnings"] == []
-    goal = ",".join(str(x) for x in json.loads(ran("fk", file, "0,0,0,0,0,0,0,0", "--json"))["position"])
+    goal = ",".join(str(x) for x in json.loads(ran("fk", file, "0,0,0,0,0,0,0,0,0", "--json"))["position"])
     assert json.loads(ran("plan", file, "--goal", goal, "--json", "--deadline", "2"))["within_tolerance"]
     ran("map", file)
     ran("workspace", file, "--at", goal, "--samples", "5")
@@ -92,7 +93,7 @@ def test_commands_of_a_running_arm(ran: Callable[..., str], arm: Path, tmp_path:
             demo.wait_until_ready(client)
         for words in (
             "fleet",
-            "send every --configuration 01010100",
+            "send every --configuration 010101000",
             "jog every 2.1=extended",
             "lock every 5.1=contracted",
             "lock every 5.1=free",

@@ -10,7 +10,7 @@ import msgspec
 
 import hyperbit
 from hyperbit.controller import cli
-from hyperbit.controller.armfile import settings
+from hyperbit.controller.armfile import modules, settings
 from hyperbit.controller.gateway import outbox, server
 from hyperbit.controller.motion.decoding import goal, requests, setpoint
 from hyperbit.controller.motion.tracking import bias
@@ -25,7 +25,7 @@ from tests.documents.payloads import payloads
 
 
 def structs() -> Iterator[type[msgspec.Struct]]:
-    for module in (settings, goal, requests, setpoint, bias):
+    for module in (settings, modules, goal, requests, setpoint, bias):
         for value in vars(module).values():
             if isinstance(value, type) and issubclass(value, msgspec.Struct) and value.__module__ == module.__name__:
                 yield value
@@ -109,7 +109,7 @@ TABLES: dict[str, Callable[[], set[str]]] = {
     "reasons": lambda: {reason.value for reason in Reason},
     "modes": lambda: set(get_args(Mode)),
     "methods": lambda: set(get_args(settings.Method)),
-    "module types": lambda: {str(kind.__struct_config__.tag) for kind in get_args(settings.ModuleSettings)},
+    "module types": lambda: {str(kind.__struct_config__.tag) for kind in get_args(modules.ModuleSettings)},
     "variants": lambda: set(VARIANTS),
     "faults on demand": lambda: set(VERBS),
     "rooms": rooms,

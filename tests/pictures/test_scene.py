@@ -119,3 +119,50 @@ def test_an_arm_that_is_told_otherwise_is_refused(broken: str) -> None:
         FoxgloveScene({key: value for key, value in arm.items() if key != broken})
     with pytest.raises((LookupError, ValueError, TypeError)):
         FoxgloveScene({**arm, broken: []})
+
+
+def test_a_scene_is_in_metres_whatever_unit_the_daemon_has() -> None:
+    large = described(planar())
+    obstacles = [
+        {"disc": {"centre": [1.0, 2.0], "radius": 0.5}, "name": "pillar", "box": None},
+        {"box": {"centre": [-1.0, 2.0], "size": [0.5, 0.25], "angle": 0.5}},
+        {"half_plane": {"point": [0.0, -1.0], "normal": [0.0, 1.0]}},
+    ]
+    whole = {**large, "unit": "m", "sent_obstacles": obstacles}
+    thousandth = {
+        **whole,
+        "unit": "mm",
+        "length": 1e3 * whole["length"],
+        "base": raised(whole["base"]),
+        "frames": [raised(frames) for frames in whole["frames"]],
+        "drawing": {
+            **whole["drawing"],
+            "kinds": [{**it, "body": (1e3 * np.array(it["body"])).tolist()} for it in whole["drawing"]["kinds"]],
+        },
+        "sent_obstacles": [
+            {"disc": {"centre": [1e3, 2e3], "radius": 500.0}, "name": "pillar", "box": None},
+            {"box": {"centre": [-1e3, 2e3], "size": [500.0, 250.0], "angle": 0.5}},
+            {"half_plane": {"point": [0.0, -1e3], "normal": [0.0, 1.0]}},
+        ],
+    }
+    now = state(planar(), [0] * 16, stamp=1.0)
+    target = {"position": [0.5, 2.5]}, {"position": [500.0, 2500.0]}
+    scenes = [FoxgloveScene(it) for it in (whole, thousandth)]
+    updates = [scene.update({**now, "target": at}, 1.0) for scene, at in zip(scenes, target, strict=True)]
+    assert numbers(updates[1]) == pytest.approx(numbers(updates[0]), abs=1e-8)
+    frames_of = [scene.transforms(now, 1.0) for scene in scenes]
+    assert numbers(frames_of[1]) == pytest.approx(numbers(frames_of[0]), abs=1e-8)
+    with pytest.raises(ValueError, match="unit: 'ft' is none of m, cm, mm, in"):
+        FoxgloveScene({**whole, "unit": "ft"})
+
+
+def raised(matrices: Any) -> Any:
+    array = np.array(matrices)
+    array[..., :3, 3] *= 1e3
+    return array.tolist()
+
+
+def numbers(value: Any) -> list[float]:
+    if isinstance(value, dict | list):
+        return [it for part in (value.values() if isinstance(value, dict) else value) for it in numbers(part)]
+    return [float(value)] if isinstance(value, int | float) else []

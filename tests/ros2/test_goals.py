@@ -13,7 +13,7 @@ from hyperbit.controller.manipulator.frames import Frame, quaternion
 from hyperbit.controller.manipulator.notation import parse_configuration
 from hyperbit.controller.motion.decoding.goal import parse
 from hyperbit.controller.ros2 import poses
-from hyperbit.controller.ros2.poses import BadGoal, Place, check_stamp, pose, rotation, waypoint, yaw
+from hyperbit.controller.ros2.poses import BadGoal, Place, check_stamp, rotation, waypoint, yaw
 from hyperbit.controller.ros2.trajectories import actuator_goal, time_tolerance, tip_goal, tip_positions
 from hyperbit.controller.ros2.wire.cdr import message
 from tests import told
@@ -68,7 +68,7 @@ def test_numbers_that_overflow_are_refused() -> None:
 @given(ANGLES)
 def test_an_angle_in_the_plane_comes_back(angle: float) -> None:
     told = {"position": [1.0, 2.0], "orientation": angle}
-    there = pose(told)
+    there = place().pose(told)
     turned = rotation([there["orientation"][name] for name in "xyzw"], "")
     assert poses.orientation(turned, 2) == pytest.approx(angle)
     assert yaw(told) == pytest.approx(angle)
@@ -213,5 +213,22 @@ def test_an_unknown_actuator_must_be_named() -> None:
 
 
 def test_positions_of_the_tip_are_in_the_order_of_the_joints() -> None:
-    assert tip_positions({"position": [1.0, 2.0], "orientation": 0.5}, ("tip_yaw", "tip_y")) == [0.5, 2.0]
-    assert math.isnan(tip_positions({"position": [1.0, 2.0]}, ("tip_yaw",))[0])
+    assert tip_positions({"position": [1.0, 2.0], "orientation": 0.5}, ("tip_yaw", "tip_y"), place()) == [0.5, 2.0]
+    assert math.isnan(tip_positions({"position": [1.0, 2.0]}, ("tip_yaw",), place())[0])
+
+
+def test_ros_has_metres_and_the_daemon_the_unit_of_the_file() -> None:
+    base = np.eye(4)
+    base[:3, 3] = 0.1, 0.2, 0.0
+    lift = Place("world", "lift", base, 2, 0.001)
+    header = {"header": {"frame_id": "lift/0"}}
+    entries = [{"name": "tip_x", "position": 0.002}]
+    goal = trajectory_goal(
+        ["tip_x", "tip_y"], [[0.3, 0.4]], trajectory=header, goal_tolerance=entries, path_tolerance=entries
+    )
+    found = tip_goal(goal, lift)
+    assert found["waypoints"][0]["position"] == pytest.approx([400.0, 600.0])
+    assert found["tolerance"]["position"] == pytest.approx(2.0)
+    assert found["path_tolerance"] == pytest.approx(2.0)
+    assert lift.pose({"position": [400.0, 600.0]})["position"] == pytest.approx({"x": 0.4, "y": 0.6, "z": 0.0})
+    assert tip_positions({"position": [400.0, 600.0]}, ("tip_y", "tip_x"), lift) == pytest.approx([0.6, 0.4])

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from hyperbit.controller.pictures.scene import FoxgloveScene
 from hyperbit.controller.ros2 import messages
+from hyperbit.controller.ros2.poses import Place
 from hyperbit.controller.ros2.robot import angles, urdf
 from hyperbit.controller.ros2.wire import tokens
 from hyperbit.controller.ros2.wire.cdr import deserialize, serialize
@@ -52,14 +53,14 @@ def test_frames_lead_from_the_world_to_the_tip(name: str) -> None:
         own[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
         own[:3, 3] = place.x, place.y, place.z
         whole = whole @ own
-    tip = messages.tip_pose(state(name), "map")
+    tip = messages.tip_pose(state(name), Place("map", name, np.eye(4), arm(name).manipulator.dimension))
     assert tip is not None
     shown = sent(tip, "geometry_msgs/msg/PoseStamped").pose.position
     assert whole[:3, 3] == pytest.approx([shown.x, shown.y, shown.z], abs=1e-6)
 
 
 def test_a_tip_that_is_not_known_is_not_shown() -> None:
-    assert messages.tip_pose(state(tip=None), "world") is None
+    assert messages.tip_pose(state(tip=None), Place("world", "planar16", np.eye(4), 2)) is None
 
 
 def test_markers_that_are_gone_are_deleted() -> None:

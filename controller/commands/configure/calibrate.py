@@ -44,6 +44,11 @@ def calibrate(
     out: Annotated[Path | None, typer.Option(metavar="NEW.yaml", help="File for the fitted arm.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     each: Annotated[bool, typer.Option("--each", help="Fit each module, and each leg of a truss, separately.")] = False,
+    fit: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PART", help="Fit base and this part: tip, modules[2] or modules[1].link; repeatable."),
+    ] = None,
+    base_only: Annotated[bool, typer.Option("--base-only", help="Fit the base only.")] = False,
     workers: Workers = 1,
     dask: Dask = None,
     as_json: AsJson = False,
@@ -56,6 +61,8 @@ def calibrate(
     from hyperbit.controller.calibration.fit import CannotFit
     from hyperbit.controller.calibration.samples import read_samples
 
+    if base_only and fit:
+        raise InputFaults(Path("--base-only"), ["it fits the base alone: leave --fit out"])
     sharing = checked_sharing(workers, dask)
     arm = load(file)
     measured = read_samples(samples, arm.manipulator)
@@ -66,7 +73,7 @@ def calibrate(
     try:
         with open_workers(sharing) as client, progress_bar("fits") as progress:
             spread = spread_over(client, progress, "fits", lambda mask: 1)
-            found = calibrated(arm, measured, each=each, spread=spread)
+            found = calibrated(arm, measured, each=each, parts=[] if base_only else fit, spread=spread)
     except CannotFit as error:
         raise InputFaults(samples, [str(error)]) from None
     if out is not None and found.better:
@@ -74,11 +81,11 @@ def calibrate(
     if as_json:
         print_json({**payload(found), "out": str(out) if out and found.better else None})
     else:
-        show(found)
+        show(found, arm.settings.unit)
     if not found.better:
         raise CommandFailed(
-            "on held-out samples the fitted numbers are no better than the file's numbers with a fitted base;"
-            " nothing is written"
+            "on held-out samples the fitted numbers are no better than the file's"
+            f"{'' if base_only else ' numbers with a fitted base'}; nothing is written"
         )
 
 
@@ -120,16 +127,17 @@ def payload(found: Calibration) -> dict[str, Any]:
     }
 
 
-def show(found: Calibration) -> None:
+def show(found: Calibration, unit: str | None) -> None:
     lines = ", ".join(map(str, found.outliers))
     aside = f"; {len(found.outliers)} outliers set aside, lines {lines}" if found.outliers else ""
     console.print(f"{found.samples} samples{aside}")
     table = results_table("residuals", "", "rms", "95 %", "worst")
+    units = {"position": f"position [{unit}]" if unit else "position", "orientation": "orientation [rad]"}
     for kind in ("position", "orientation"):
         for name in RESIDUALS:
             if (residuals := getattr(getattr(found, name), kind)) is not None:
                 values = (residuals.rms, residuals.most, residuals.worst)
-                table.add_row(kind, name.replace("_", " "), *(f"{value:.3g}" for value in values))
+                table.add_row(units[kind], name.replace("_", " "), *(f"{value:.3g}" for value in values))
     print_table(table)
     table = results_table("field", "before", "after", "deviation", "")
     for change in found.changes:

@@ -110,7 +110,7 @@ def draw(arm: Arm, picture: Path) -> None:
     drawn = {"first state of each module": first, "last state of each module": last}
     with drawing(picture):
         subplot = plots.Subplot(arm.settings.name, drawn)
-        plots.save(picture, arm.manipulator, None, [subplot], unit="arm's unit", obstacles=arm.obstacles)
+        plots.save(picture, arm.manipulator, None, [subplot], unit=arm.settings.unit, obstacles=arm.obstacles)
 
 
 def report(file: Path, arm: Arm, fields: dict[str, Any], warnings: list[str], boards: list[dict[str, Any]]) -> None:

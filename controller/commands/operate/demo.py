@@ -124,7 +124,7 @@ def move(client: Client, arm: Arm, goals: DemoGoals) -> Shown:
 def draw(arm: Arm, goals: DemoGoals, shown: Shown, picture: Path, animation: Path | None) -> None:
     title = f"{arm.settings.name}: {len(arm.manipulator.modules)} modules, {len(arm.manipulator.actuators)} actuators"
     subplots = [plots.Subplot(title, shown.reached, goals.targets, goals.curve)]
-    plots.save(picture, arm.manipulator, goals.densities, subplots, obstacles=arm.obstacles)
+    plots.save(picture, arm.manipulator, goals.densities, subplots, arm.settings.unit, obstacles=arm.obstacles)
     console.print(f"picture: {picture}")
     if animation is not None:
         from hyperbit.controller.pictures.animation import Movement, animate

@@ -91,7 +91,7 @@ def plan(
     shape = home if configuration is None else unlocked(arm, configuration, "--configuration")
     search = prepared_search(arm, options, silent=as_json)
     found = described(search, start, shape) if wanted is None else search_one(search, wanted, start)
-    print_results([row_of(arm, options, found)], options, as_json=as_json)
+    print_results([row_of(arm, options, found)], options, arm.settings.unit, as_json=as_json)
     if wanted is not None:
         check_reached(found, f"goal {goal}")
     elif (clearance := search.solver.clearance) is not None and (where := clearance.where(shape)) is not None:
@@ -185,7 +185,7 @@ def study_goals(job: PlanJob, sharing: Sharing, output: Path | None, *, as_json:
                 progress.update(task, completed=done)
 
         if file is None or output is None:
-            print_results(counted(), job.options, as_json=as_json, many=total > MOST_ROWS)
+            print_results(counted(), job.options, job.arm.settings.unit, as_json=as_json, many=total > MOST_ROWS)
             return
         for row in counted():
             write_line(output, file, row.line)

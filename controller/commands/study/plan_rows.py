@@ -140,14 +140,17 @@ def row_of(arm: Arm, options: PlanOptions, point: PointSolution) -> Row:
     return Row(line, cells)
 
 
-def print_results(found: Iterable[Row], options: PlanOptions, *, as_json: bool, many: bool = False) -> None:
+def print_results(
+    found: Iterable[Row], options: PlanOptions, unit: str | None, *, as_json: bool, many: bool = False
+) -> None:
     """Prints each result as a line of JSON, or all in a table; `many`: as lines of text as the results come."""
     if as_json:
         for row in found:
             print_json(row.line)
         return
     work = "effort" if options.effort is not None else "ms"
-    columns = "goal", "configuration", "position", "th [rad]", "error", "switches", work
+    length = f" [{unit}]" if unit else ""
+    columns = f"goal{length}", "configuration", f"position{length}", "th [rad]", f"error{length}", "switches", work
     table, wholes = results_table(*columns), list[dict[str, Any]]()
     if many:
         console.print("  ".join(columns))

@@ -12,6 +12,7 @@ import typer
 from hyperbit.controller.arm.arm import Arm, load
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.armfile.units import unit_mark
 from hyperbit.controller.commands.arguments import ArmFile, AsJson, Dask, Picture, Tolerance, Workers
 from hyperbit.controller.commands.common import (
     check_output,
@@ -90,7 +91,8 @@ def workspace(
                 raise InputFaults(Path("--locked"), [str(error)]) from None
     from hyperbit.controller.pictures.workspace_plots import draw_workspace, locked_field, positions_field
 
-    fields: dict[str, Any] = {"arm": arm.settings.name, "tolerance": own, "positions": positions(covered)}
+    unit = arm.settings.unit
+    fields: dict[str, Any] = {"arm": arm.settings.name, "unit": unit, "tolerance": own, "positions": positions(covered)}
     drawn = [positions_field(densities, arm.manipulator.dimension, own)]
     if found is not None:
         fields["at"] = {"position": point, **orientations(found, planar=arm.manipulator.planar)}
@@ -99,7 +101,7 @@ def workspace(
         drawn.append(locked_field(reach, locked or 0))
     shown_at = found if found is not None and len(found.counts) else None
     with drawing(picture):
-        draw_workspace(reduced, drawn, point, shown_at, arm.settings.name).savefig(picture, dpi=130)
+        draw_workspace(reduced, drawn, point, shown_at, arm.settings.name, unit).savefig(picture, dpi=130)
     fields["picture"] = str(picture)
     if as_json:
         print_json(fields)
@@ -196,19 +198,20 @@ def span(figure: dict[str, float], form: str) -> str:
 
 
 def show(report: dict[str, Any]) -> None:
-    own, tolerance = report["positions"], report["tolerance"]
-    kind = "area" if len(own["densest"]) == 2 else "volume"
+    own, mark = report["positions"], unit_mark(report["unit"])
+    tolerance, kind = f"{report['tolerance']:g}{mark}", "area" if len(own["densest"]) == 2 else "volume"
+    power = "" if not mark else f"{mark}²" if kind == "area" else f"{mark}³"
     console.print(
         f"{report['arm']}: 10^{own['log10_configurations']:.1f} configurations."
         f" {own['positions']} positions, by {own['method']}: {own['why']}.\n"
-        f"{kind} with at least one configuration within {tolerance:g}: {span(own['covered'], '{:.3g}')}\n"
-        f"configurations within {tolerance:g}: median {span(own['log10_redundancy'], '10^{:.1f}')} over that {kind},"
-        f" 10^{own['log10_greatest_redundancy']:.1f} near {shown(own['densest'])}. Obstacles are not considered."
+        f"{kind} with at least one configuration within {tolerance}: {span(own['covered'], '{:.3g}')}{power}\n"
+        f"configurations within {tolerance}: median {span(own['log10_redundancy'], '10^{:.1f}')} over that {kind},"
+        f" 10^{own['log10_greatest_redundancy']:.1f} near {shown(own['densest'])}{mark}. Obstacles are not considered."
     )
     if (at := report.get("at")) is not None:
         console.print(
-            f"at {shown(at['position'])}, by {at['method']}: {at['why']}.\n"
-            f"{at['configurations']:.4g} configurations within {tolerance:g},"
+            f"at {shown(at['position'])}{mark}, by {at['method']}: {at['why']}.\n"
+            f"{at['configurations']:.4g} configurations within {tolerance},"
             f" standard error {at['standard_error']:.2g}"
         )
         if at["mean"] is not None:

@@ -18,7 +18,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from hyperbit.controller.armfile.choices import LARGEST
-from hyperbit.controller.armfile.settings import Angle, AngleTolerance, Coordinate
+from hyperbit.controller.armfile.fields import Angle, AngleTolerance, Coordinate
 from hyperbit.controller.armfile.strict import UNIT
 from hyperbit.controller.decoding.decoding import Unreadable, decode
 from hyperbit.controller.motion.decoding.payloads import check_size, converted, object_in

@@ -7,7 +7,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from hyperbit.controller.armfile.settings import Coordinate
+from hyperbit.controller.armfile.fields import Coordinate
 from hyperbit.controller.motion.decoding.goal import Time, Tolerance
 from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.refusals.reasons import Reason

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from hyperbit.controller.armfile.settings import Angle, Coordinate
+from hyperbit.controller.armfile.fields import Angle, Coordinate
 from hyperbit.controller.motion.decoding.goal import Time
 from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.motion.tracking.kalman import kalman_filter

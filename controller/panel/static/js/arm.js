@@ -118,6 +118,6 @@ function showTools(view, editor) {
     mark("waypoints", "waypoints"),
     mark("obstacle", "obstacle"),
     view.arm.density ? mark("density", "density of reachable tips") : null,
-    el("span", {}, "lengths in the unit of the arm's file"),
+    el("span", {}, `lengths in ${view.arm.unit ?? "the unit of the arm's file"}`),
   );
 }
