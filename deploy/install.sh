@@ -83,10 +83,10 @@ if [ $# -gt 0 ]; then
   install -D -m 644 "$arm" /etc/hyperbit/arm.yaml
   echo "wrote /etc/hyperbit/arm.yaml"
   "$prefix/bin/python" -c '
-import sys, yaml
-for group in yaml.safe_load(open(sys.argv[1], encoding="utf-8"))["modules"]:
-    if "table" in group:
-        print(group["table"])
+import sys
+from pathlib import Path
+from hyperbit.controller.armfile.settings import files_beside, read_settings
+sys.stdout.writelines(f"{name}\n" for name in files_beside(read_settings(Path(sys.argv[1]))[0]))
 ' "$arm" | while IFS= read -r table; do
     install -D -m 644 "$(dirname "$arm")/$table" "/etc/hyperbit/$table"
     echo "wrote /etc/hyperbit/$table"

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from hyperbit.controller.arm.arm import Arm
-from hyperbit.controller.armfile.modules import table_names
+from hyperbit.controller.armfile.settings import files_beside
 from hyperbit.controller.host.files import read_file
 from hyperbit.controller.manipulator.notation import format_configuration
 from hyperbit.controller.workspace.densities import Densities
@@ -69,9 +69,7 @@ def file(arm: Arm) -> Payload | None:
         return None
     try:
         data = read_file(arm.path)
-        tables = {
-            name: read_file(arm.path.parent / name).decode("utf-8-sig") for name in table_names(arm.settings.modules)
-        }
+        tables = {name: read_file(arm.path.parent / name).decode("utf-8-sig") for name in files_beside(arm.settings)}
         text = data.decode()
     except (OSError, UnicodeDecodeError):
         return None

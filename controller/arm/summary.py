@@ -52,7 +52,7 @@ def summary_lines(fields: dict[str, Any]) -> list[tuple[str, str]]:
         ("configurations", f"2^{digits:.0f}" if digits == round(digits) else f"2^{digits:.1f}"),
         ("boards", buses or "none"),
         *((what, shortened(fields[name])) for what, name in wired if fields[name]),
-        ("lengths", f"in the {unit_name(fields['unit'])}" if fields["unit"] is None else f"in {fields['unit']}"),
+        *([("lengths", f"in the {unit_name(None)}")] if fields["unit"] is None else []),
         ("length", f"{fields['length']:.4g}{mark}"),
         ("reach", f"{fields['reach']:.4g}{mark} from the base"),
         ("travel time", f"{fields['travel_time']:g} s"),

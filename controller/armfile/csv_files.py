@@ -98,25 +98,31 @@ def read_csv(path: Path, most: int | None = None) -> CsvFile:
 
 
 def read_states(folder: Path, name: str | None, field: str, faults: list[str]) -> CsvFile | None:
-    """Returns a table beside an arm's file, with a row for each state; None with a fault appended.
+    """Returns a table with a row for each state beside an arm's file; None with a fault appended. See `read_beside`."""
+    return read_beside(folder, name, field, MOST_STATES, faults)
+
+
+def read_beside(folder: Path, name: str | None, field: str, most: int, faults: list[str]) -> CsvFile | None:
+    """Returns a table beside an arm's file; None with a fault appended.
 
     Args:
         folder: of the arm's file.
         name: of the CSV file, relative to the folder.
         field: of the arm's file that names the CSV file.
+        most: most rows to accept; one more is read.
         faults: appended to, each beginning with `field`.
     """
     if name is None or PurePath(name).is_absolute() or ".." in PurePath(name).parts or not name.endswith(".csv"):
         faults.append(f"{field}: a CSV file beside the arm's is needed, such as measured.csv, got {name!r}")
         return None
     try:
-        return read_csv(folder / name, MOST_STATES)
+        return read_csv(folder / name, most)
     except InputFaults as error:
         faults += [f"{field}: {name} {fault}" for fault in error.faults]
         return None
 
 
 def check_states(table: CsvFile, name: str | None, field: str, faults: list[str]) -> None:
-    """Appends a fault if a table has too few or too many rows. For the arguments see `read_states`."""
+    """Appends a fault if a table has too few or too many rows. For the arguments see `read_beside`."""
     if not 2 <= len(table.rows) <= MOST_STATES:
         faults.append(f"{field}: {name}: 2 to {MOST_STATES} rows are needed, a state each, got {len(table.rows)}")

@@ -139,9 +139,3 @@ def chain(entries: Sequence[EntrySettings]) -> list[ChainEntry]:
 def places(entries: Sequence[EntrySettings]) -> list[ChainEntry]:
     """Returns the entry of each module of a chain, base first."""
     return [entry for entry in chain(entries) for _ in range(entry.settings.count)]
-
-
-def table_names(entries: Sequence[EntrySettings]) -> list[str]:
-    """Returns the names of the tables of measured frames."""
-    own = (entry.settings for entry in chain(entries))
-    return list(dict.fromkeys(it.table for it in own if isinstance(it, TransformsSettings) and it.table is not None))

@@ -7,9 +7,8 @@ from pathlib import Path, PurePath
 import yaml
 
 from hyperbit.controller.armfile.documents import read_yaml
-from hyperbit.controller.armfile.modules import table_names
 from hyperbit.controller.armfile.places import placed_faults
-from hyperbit.controller.armfile.settings import read_settings
+from hyperbit.controller.armfile.settings import files_beside, read_settings
 from hyperbit.controller.armfile.strict import InputFaults
 
 SILENCE_TIMEOUT = 10.0  # [s] of silence until boards, executor or planner count as lost
@@ -35,7 +34,7 @@ def patient_copy(file: Path, folder: Path) -> Path:
     silence = max(settings.boards.heartbeat_timeout, SILENCE_TIMEOUT)
     document["boards"] = {**(document.get("boards") or {}), "heartbeat_timeout": silence}
     document["planner_timeout"] = max(settings.planner_timeout, SILENCE_TIMEOUT)
-    for name in table_names(settings.modules):
+    for name in files_beside(settings):
         if not PurePath(name).is_absolute():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(OSError):  # the reader of the copy tells

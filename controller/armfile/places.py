@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from hyperbit.controller.armfile.documents import MOST_YAML, build_loader, read_text
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.armfile.wiring_table import FIELD, row_faults
 
 if TYPE_CHECKING:
     import yaml
@@ -42,7 +43,17 @@ def placed_faults(path: Path) -> Iterator[None]:
 def place(path: Path, faults: Sequence[str]) -> list[PlacedFault]:
     """Returns the faults of a YAML file with their lines; each fault is "path: text", and its path counts from 0."""
     root = compose(path)
+    if (name := wiring_name(root)) is not None:
+        faults = row_faults(path.parent, name, faults)
     return [find(fault, root) for fault in faults]
+
+
+def wiring_name(root: "yaml.Node | None") -> str | None:
+    """Returns the name of the CSV file that has the wiring; None if the actuators stand in the file itself."""
+    import yaml
+
+    entry = named_entry(root, FIELD)
+    return entry[1].value if entry is not None and isinstance(entry[1], yaml.ScalarNode) else None
 
 
 def compose(path: Path) -> "yaml.Node | None":

@@ -1,7 +1,7 @@
 """The fields of an arm's YAML file, their bounds and defaults; no geometry, so that the executor can read the file."""
 
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta, Struct, field
 
@@ -27,11 +27,14 @@ from hyperbit.controller.armfile.modules import (
     MOST_MODULES,
     EntrySettings,
     FrameSettings,
+    TransformsSettings,
+    chain,
     count_modules,
     with_group_types,
 )
 from hyperbit.controller.armfile.strict import InputFaults, check
 from hyperbit.controller.armfile.units import Unit, factors
+from hyperbit.controller.armfile.wiring_table import read_wiring
 
 PaperMethod = Literal["pop", "ipop-previous", "ipop-contracted"]
 Variant = Literal["ipop-fewest-switches", "ipop-fewest-extended"]  # the paper's IPOP, counting actuators
@@ -252,7 +255,25 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     self_collision: bool = False
     buses: list[BusSettings] = field(default_factory=list)
     actuators: list[ActuatorSettings] = field(default_factory=list)
+    wiring: str | None = None  # CSV file from which `actuators` was read
     interlocks: dict[Name, InterlockSettings] = field(default_factory=dict)
+
+
+def files_beside(settings: ArmSettings) -> list[str]:
+    """Returns the names of the CSV files that a file needs: tables of measured frames, and the wiring."""
+    own = (entry.settings for entry in chain(settings.modules))
+    names = [it.table for it in own if isinstance(it, TransformsSettings)]
+    return list(dict.fromkeys(name for name in (*names, settings.wiring) if name is not None))
+
+
+def with_wiring(document: Any, folder: Path, faults: list[str]) -> Any:
+    """Returns the value of a file with `actuators` from the CSV file that `wiring` names, if it does."""
+    if not isinstance(document, dict) or not isinstance(name := document.get("wiring"), str):
+        return document
+    if "actuators" in document:
+        faults.append(f"wiring: {name}, but the file has actuators, too; the wiring stands in one place")
+        return document
+    return {**document, "actuators": read_wiring(folder, name, ActuatorSettings.__struct_fields__, faults)}
 
 
 def read_settings(path: Path) -> tuple[ArmSettings, list[str]]:
@@ -262,9 +283,9 @@ def read_settings(path: Path) -> tuple[ArmSettings, list[str]]:
         InputFaults: the file is missing or unreadable, or a field is wrong.
     """
     faults: list[str] = []
-    raw = with_group_types(read_yaml(path))
+    raw = with_wiring(with_group_types(read_yaml(path)), path.parent, faults)
     settings = check(raw, ArmSettings, faults, factors(raw.get("unit") if isinstance(raw, dict) else None))
-    if settings is None:
+    if settings is None or faults:
         raise InputFaults(path, faults)
     if (modules := count_modules(settings.modules)) > MOST_MODULES:
         raise InputFaults(path, [f"modules: {modules} modules, at most {MOST_MODULES} are possible"])

@@ -136,6 +136,11 @@ GROUPS = {
         ),
     },
     "Configure arm and boards": {
+        "new": CommandEntry(
+            "configure.new",
+            "Write a new arm's file, with comments, from options and questions. Nothing is written over.",
+            "hyperbit new my-arm.yaml",
+        ),
         "check": CommandEntry(
             "configure.check",
             "Check an arm's file, name each fault by its line, and sum the arm up; --bus also reads the boards.",
