@@ -9,6 +9,7 @@ A mark is an HTML comment on the line before an example or a table. Fenced block
 
     <!-- not run: WHY -->        commands and options of the block are compared with the code, and nothing runs
     <!-- with: daemon -->        while the block runs, a daemon with the simulated boards of planar16 is ready
+    <!-- with: daemon of FILE -->        one of an arm's file that the page has written
     <!-- request: KEY -->        the JSON is sent to such a daemon on hyperbit/planar16/KEY, which has to accept it
     <!-- prints -->              each line of the text is a line that the example before prints; `...` is any text
     <!-- table: NAME -->         the names in the first column are those that `facts.TABLES[NAME]` has

@@ -28,7 +28,7 @@ from tests.documents.page import ROOT, Example, Page
 
 PATIENCE = 300.0  # [s] for a shell block, on a machine that stands still at times
 SHARED = ("controller", "deploy", "drivers", "tests")  # folders that examples name
-Daemon = Callable[[], str]  # starts one if there is none; returns its endpoint
+Daemon = Callable[[Path], str]  # starts one of an arm's file if there is none; returns its endpoint
 
 
 def prepare(folder: Path, hyperbit: str) -> None:
@@ -54,7 +54,9 @@ def run(page: Page, folder: Path, daemon: Daemon) -> None:
         where = f"{page.name}:{example.line}"
         if "not run" in example.marks:
             continue
-        endpoint = daemon() if {"with", "request"} & example.marks.keys() else None
+        file = example.marks.get("with", "").removeprefix("daemon").removeprefix(" of ")
+        arm = folder / file if file else ROOT / "deploy" / "planar16.yaml"
+        endpoint = daemon(arm) if {"with", "request"} & example.marks.keys() else None
         match example.language:
             case "sh":
                 printed = run_shell(example.text, folder, endpoint, where)

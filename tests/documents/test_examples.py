@@ -5,9 +5,11 @@ from __future__ import annotations
 import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 
+from hyperbit.controller.commands.common import arm_name
 from hyperbit.controller.commands.connection import connected
 from hyperbit.controller.commands.operate import demo
 from tests.documents import forks, page, running
@@ -26,17 +28,15 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def daemon(folders, tmp_path_factory: pytest.TempPathFactory) -> Iterator[running.Daemon]:
-    """Returns the endpoint of a daemon of planar16 with simulated boards, started at the first use."""
+    """Returns the endpoint of a daemon of an arm with simulated boards, started at the first use."""
     with ExitStack() as stack:
-        endpoints: list[tuple[subprocess.Popen[bytes], str]] = []
+        endpoints: dict[Path, tuple[subprocess.Popen[bytes], str]] = {}
 
-        def start() -> str:
-            if not endpoints:
-                arm = running.ROOT / "deploy" / "planar16.yaml"
-                process, endpoint = stack.enter_context(demo.started(arm, tmp_path_factory.mktemp("daemon")))
-                endpoints.append((process, endpoint))
-            process, endpoint = endpoints[0]
-            with connected("planar16", endpoint, None) as client:
+        def start(arm: Path) -> str:
+            if arm not in endpoints:
+                endpoints[arm] = stack.enter_context(demo.started(arm, tmp_path_factory.mktemp("daemon")))
+            process, endpoint = endpoints[arm]
+            with connected(arm_name(str(arm)), endpoint, None) as client:
                 demo.wait_until_ready(client, process.poll)  # the previous example may have stopped the arm
             return endpoint
 

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from hyperbit.controller.arm.arm import load
+from hyperbit.controller.armfile.units import unit_mark
 from hyperbit.controller.commands.arguments import ArmFile, AsJson, Picture
 from hyperbit.controller.commands.common import (
     check_output,
@@ -33,7 +34,8 @@ def fk(
     if as_json:
         print_json(found)
     else:
-        console.print(f"position {shown(found['position'])}  orientation {shown(found['orientation'])}")
+        place = f"{shown(found['position'])}{unit_mark(arm.settings.unit)}"
+        console.print(f"position {place}  orientation {shown(found['orientation'])}")
 
 
 def map(
