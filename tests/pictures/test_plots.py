@@ -34,14 +34,14 @@ def rows(arm, densities):
 def test_everything_is_inside_the_axes(manipulator, densities, base):
     moved = Manipulator(manipulator.modules, base)
     subplot = Subplot("both", {"straight": STRAIGHT, "bent": BENT}, FAR, CURVE)
-    (axes,) = [a for a in figure(moved, densities, [subplot]).axes if a.get_title() == "both"]
+    (axes,) = [a for a in figure(moved, densities, [subplot], "mm").axes if a.get_title() == "both"]
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     bodies = [moved.body(c)[:, :, :2].reshape(-1, 2) for c in (STRAIGHT, BENT)]
     for points in (*bodies, FAR, CURVE):
         assert ((left, bottom) < np.array(points)).all()
         assert (np.array(points) < (right, top)).all()
     assert axes.get_aspect() == 1
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "y [m]")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [mm]", "y [mm]")
     names = [text.get_text() for text in axes.get_legend().get_texts()]
     assert names == ["straight", "bent", "waypoints", "targets"]
 
@@ -103,7 +103,7 @@ def test_a_spatial_arm_is_drawn_in_space(tmp_path):
     points = np.concatenate([manipulator.body(c).reshape(-1, 3) for c in subplot.configurations.values()])
     assert (limits[:, 0] < points).all()
     assert (points < limits[:, 1]).all()
-    assert axes.get_zlabel() == "z [m]"
+    assert axes.get_zlabel() == "z [unit of the arm's file]"
     save(tmp_path / "arm.png", manipulator, densities, [subplot, subplot])
     assert (tmp_path / "arm.png").stat().st_size > 10_000
 
