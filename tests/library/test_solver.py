@@ -149,9 +149,9 @@ def test_pictures(arm: hb.Arm, ik: hb.Solver, drawn: str, tmp_path) -> None:
 
 
 def test_a_spatial_arm_is_drawn_without_its_density() -> None:
-    arm = hb.Arm([hb.revolute([-0.5, 0.5], axis=(1, 0, 0), link=(0.0, 0.0, 0.2), count=3)])
+    arm = hb.Arm([hb.revolute([-0.5, 0.5], axis=(1, 0, 0), link=(0.0, 0.0, 0.2), count=3)], unit="cm")
     figure = hb.plot(arm, {"home": arm.home}, obstacles=[hb.Sphere((1, 1, 1), 0.2)])
-    assert figure.axes[0].get_zlabel() == "z [m]"
+    assert figure.axes[0].get_zlabel() == "z [cm]"
     assert "_densities" not in vars(arm)
 
 

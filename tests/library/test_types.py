@@ -24,6 +24,7 @@ modules: list[hb.Module] = [
     hb.prismatic((0, 1), [0.0, 0.1]),
     hb.platform([(0, 0), (1, 0), (0.5, 0)], [(0, 0), (1, 0), (0.5, 0)], (1.0, 1.2)),
     hb.transforms([np.eye(4), np.eye(4)]),
+    hb.group([hb.vgt(width=0.2, lengths=(0.2, 0.25))], 2),
 ]
 shapes: list[hb.Obstacle] = [
     hb.Disc(np.array([1.0, 2.0]), np.float32(0.3), name="pillar"),
