@@ -111,6 +111,7 @@ def test_check_of_a_good_file(hyperbit):
         "two_outputs": [],
         "pulsed": [],
         "interlocks": [],
+        "unit": "m",
         "length": pytest.approx(4.0),
         "travel_time": pytest.approx(0.05),
     }
