@@ -9,6 +9,17 @@ from hyperbit.drivers.canopen.status import MasterStatus
 from hyperbit.drivers.canopen.wiring import Interlock, Timing, Wiring
 
 
+class FakeErrorReads:
+    def __init__(self) -> None:
+        self.asked: list[int] = []
+        self.told: list[Any] = []
+        self.ask = self.asked.append
+
+    def drain(self) -> list[Any]:
+        told, self.told = self.told, []
+        return told
+
+
 class FakeMaster:
     """A master without buses: a commit is sent with the next event, and the end-stops follow a travel time later.
 
@@ -56,8 +67,7 @@ class FakeMaster:
         self._faults: list[ArmFault] = []
         self._switched: list[tuple[int, float]] = []
         self._asked: set[int] = set()
-        self.asked_errors: list[int] = []
-        self.told_errors: list[Any] = []
+        self.errors = FakeErrorReads()
 
     def receive_event(self, event: Any, now: float) -> None:
         self._break("receive_event")
@@ -111,13 +121,6 @@ class FakeMaster:
         if not end:
             line = self._size + self._wiring.ended.index(k)
         self.inputs = self.inputs & ~(1 << line) | level << line
-
-    def read_errors(self, board: int) -> None:
-        self.asked_errors.append(board)
-
-    def drain_errors(self) -> list[Any]:
-        told, self.told_errors = self.told_errors, []
-        return told
 
     def find_pause(self, now: float) -> ArmFault | None:
         pause, self.pause = self.pause, None

@@ -23,11 +23,11 @@ class BoardErrorRequests:
             return
         i = self._boards.index(message.board)
         self.waiting.setdefault(i, {})[client] = message.request
-        self._master.read_errors(i)
+        self._master.errors.ask(i)
 
     def answer(self) -> None:
         """Answers the requests whose boards were read. Call at each tick while some wait."""
-        for i, found in self._master.drain_errors():
+        for i, found in self._master.errors.drain():
             for client, request in self.waiting.pop(i, {}).items():
                 if client not in self._clients.roles:
                     continue

@@ -217,7 +217,11 @@ class Executor:
             self._awake_until = now + AWAKE
         self._frames = 0
         if self.resting(now):
-            due = min(self.reports.next_due(), self.master.next_due(), self._next_beat if self._watchdog else math.inf)
+            due = min(
+                self.reports.next_due(),
+                self.master.heartbeat.next_due(),
+                self._next_beat if self._watchdog else math.inf,
+            )
             self.period *= min(max(math.ceil((due - now) / program.TICK - 0.01), 1), REST)
         self.master.rest(self.period)
 

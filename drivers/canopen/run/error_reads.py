@@ -14,18 +14,24 @@ from hyperbit.drivers.canopen.sdo.procedure import Procedure
 
 
 class ErrorReads:
-    """A reading begins when nothing else is asked of its board, and yields to reads of outputs; then it begins again.
+    """Reads registers and histories of errors.
 
-    `done`: results that the caller has not taken yet, by index of the board; a fault says why nothing could be read.
+    A reading begins when nothing else is asked of its board, and yields to reads of outputs; then it begins again.
     """
 
     def __init__(self, boards: Sequence[Board], commits: Mapping[str, BusCommit]) -> None:
         self._boards, self._commits = boards, commits
         self._asked: set[int] = set()  # indices of boards
-        self.done: list[tuple[int, Errors | ArmFault]] = []
+        self._done: list[tuple[int, Errors | ArmFault]] = []
 
     def ask(self, board: int) -> None:
+        """Asks a board for its errors; see `drain`."""
         self._asked.add(board)
+
+    def drain(self) -> list[tuple[int, Errors | ArmFault]]:
+        """Returns the errors that were read since the last call, by index of the board, or why they were not."""
+        done, self._done = self._done, []
+        return done
 
     def tick(self, now: float) -> None:
         """Starts the readings that are due. Call every period, but not during a boot."""
@@ -51,4 +57,4 @@ class ErrorReads:
 
     def _end(self, i: int, result: Errors | ArmFault) -> None:
         self._asked.discard(i)
-        self.done.append((i, result))
+        self._done.append((i, result))

@@ -15,7 +15,6 @@ from hyperbit.drivers.canopen.run.heartbeat import Heartbeat, LoopClock
 from hyperbit.drivers.canopen.run.intruders import find_intruder
 from hyperbit.drivers.canopen.run.switching import OutputSwitching
 from hyperbit.drivers.canopen.run.verification import InputWatch, Verification
-from hyperbit.drivers.canopen.sdo.errors import Errors
 from hyperbit.drivers.canopen.status import MasterStatus
 from hyperbit.drivers.canopen.wire import cia301, events
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, wire_bits
@@ -35,6 +34,8 @@ class Master:
     Attributes:
         board_of: index of the board with the outputs of each actuator.
         input_boards_of: indices of the boards with the end-stops of each actuator; none without end-stops.
+        heartbeat: the master's heartbeat, which tells when it is due next.
+        errors: reads of the boards' errors; a boot that is under way ends first.
     """
 
     def __init__(self, wiring: Wiring, timing: Timing, send: Callable[[str, Frame], None]) -> None:
@@ -55,11 +56,11 @@ class Master:
         self._by_id = {(board.layout.bus, board.layout.node): board for board in self._boards}
         self._booting = Booting(self._boards, self._outputs, wiring, timing)
         links = tuple(self.links.values())
-        self._heartbeat = Heartbeat(links, self._boards, timing)
+        self.heartbeat = Heartbeat(links, self._boards, timing)
         self._inputs = InputWatch(self._boards, links, wiring)
         self._switching = OutputSwitching(self._boards, self.links, self._outputs, timing)
         self._verification = Verification(self._boards, self._outputs, self._switching.commits)
-        self._errors = ErrorReads(self._boards, self._switching.commits)
+        self.errors = ErrorReads(self._boards, self._switching.commits)
 
     def receive_event(self, event: events.Event, now: float) -> None:
         """Takes an event of a bus."""
@@ -90,7 +91,7 @@ class Master:
             case events.SendFailed(bus, frame, why):
                 link.send_failed(frame, time)
                 self._switching.send_failed(bus, frame, why)
-                self._heartbeat.send_failed(bus, frame)
+                self.heartbeat.send_failed(bus, frame)
 
     def tick(self, now: float) -> None:
         """Sends heartbeats, ends timeouts, and finds lost boards and stuck buses. Call it every 10 ms, see `rest`.
@@ -102,14 +103,14 @@ class Master:
         for link in self.links.values():
             if (fault := link.tick(time, now)) is not None:
                 self._lose(fault)
-        self._heartbeat.tick(now, time)
+        self.heartbeat.tick(now, time)
         self._switching.tick(now, time)
         for board in self._boards:
             board.tick(time, self._timing.heartbeat_timeout, self._clock.stalled)
         if not self._booting.under_way:
             self._verification.tick(time)
             self._inputs.tick(time)
-            self._errors.tick(time)
+            self.errors.tick(time)
 
     def rest(self, period: float) -> None:
         """Tells that the next tick comes after `period` [s]; it may be longer than 10 ms while `resting`."""
@@ -121,17 +122,13 @@ class Master:
         waits = self.committing or self.booting or self._outputs.unread or self._outputs.doubtful
         return not waits and all(link.armed and not link.failing for link in self.links.values())
 
-    def next_due(self) -> float:
-        """Returns when the next heartbeat or poll of a guarded board is due [s]."""
-        return self._heartbeat.next_due()
-
     def find_pause(self, now: float) -> ArmFault | None:
         """Returns a fault if `tick` was not called for so long that the boards lost their master; each pause once.
 
         After a pause the states of all boards are unknown until `boot`. A running boot begins again, without a fault.
         Call this before any event is handled. `tick` and `commit` check it as well, and report to `drain_faults`.
         """
-        if (fault := self._heartbeat.find_pause(now)) is None:
+        if (fault := self.heartbeat.find_pause(now)) is None:
             return None
         self._forget(self._boards)  # their states are unknown after the pause
         if self._booting.under_way:
@@ -173,15 +170,6 @@ class Master:
         """Asks a board for its inputs by SDO; see `questioning`."""
         if not self._booting.under_way:
             self._boards[board].question(self._clock.at(now))
-
-    def read_errors(self, board: int) -> None:
-        """Asks a board for its errors, after a boot that is under way; see `drain_errors`."""
-        self._errors.ask(board)
-
-    def drain_errors(self) -> list[tuple[int, Errors | ArmFault]]:
-        """Returns the errors that were read since the last call, by index of the board, or why they were not."""
-        done, self._errors.done = self._errors.done, []
-        return done
 
     def probe_silent(self, now: float) -> None:
         """Asks lost boards whether they are back; see `back`. Call about once a second."""
@@ -333,7 +321,7 @@ class Master:
         if board.boots != boots:
             self._booting.rebooted(board, time)
         elif cob_id & ~0x7F == cia301.HEARTBEAT:
-            self._heartbeat.answered(board, time)
+            self.heartbeat.answered(board, time)
         board.runner.check(time)
         return understood
 

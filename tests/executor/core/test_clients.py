@@ -199,14 +199,14 @@ def test_an_operator_reads_the_errors_of_a_board(rig: Rig) -> None:
     rig.send(ReadErrors(4, "can0/1"), OPERATOR)
     rig.send(ReadErrors(5, "can0/1"))
     rig.go()
-    assert rig.master.asked_errors == [0, 0]
-    rig.master.told_errors = [(0, Errors(0x01, (0x5000,)))]
+    assert rig.master.errors.asked == [0, 0]
+    rig.master.errors.told = [(0, Errors(0x01, (0x5000,)))]
     rig.go()
     assert rig.last(BoardErrors, OPERATOR) == BoardErrors(4, "", 0x01, (0x5000,))
     assert rig.last(BoardErrors).request == 5
     rig.send(ReadErrors(6, "can0/1"), OPERATOR)
     rig.gone(OPERATOR)
-    rig.master.told_errors = [(0, ArmFault("board-missing", "can0/1", "it does not answer"))]
+    rig.master.errors.told = [(0, ArmFault("board-missing", "can0/1", "it does not answer"))]
     rig.go()
     assert len(rig.of(BoardErrors, OPERATOR)) == 2
 

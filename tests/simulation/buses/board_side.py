@@ -59,7 +59,7 @@ class BoardSide(AttachedBoards):
         self._levels = [(c.input is not None, c.input_contracted is not None, c.inverted) for c in wiring.channels]
         for actuator in self._actuators:
             actuator.observers.append(self._end_stop_changed)
-        account.drives(self._drives)
+        account.pins.drive(self._drives)
         self._read_ends()
 
     def _end_stop_changed(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -35,18 +34,17 @@ from hyperbit.controller.program import (
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import BusChanged, FrameReceived
-from tests.simulation.buses.bus_model import RPDOS, TPDOS
+from tests.simulation.buses.bus_model import RPDOS
 from tests.simulation.executor.witness import Witness
 from tests.simulation.facts import Energised, Switch
-from tests.simulation.statements.arm import JudgedArm, bits_of, merged
-from tests.simulation.statements.motions import Motion, Pins, Sync
+from tests.simulation.statements.arm import JudgedArm, merged
+from tests.simulation.statements.doors import Doors
+from tests.simulation.statements.motions import Motion, Sync
+from tests.simulation.statements.pin_record import PinRecord
 from tests.simulation.statements.statement import Statement, Statements
 
 if TYPE_CHECKING:
     from tests.simulation.world import World
-
-REMEMBERED = 100  # pins and readings
-REACHED = 0.005  # [s] from a change of an input to the arrival of its TPDO
 
 
 class Account(Witness):
@@ -64,12 +62,8 @@ class Account(Witness):
 
     Attributes:
         arm: what its file says.
-        pins: the present ones, after all earlier ones that are remembered.
-        switched_at: when pins of each actuator changed last [s].
-        changed_at: when its end-stops changed last [s].
-        opened_at: when a door was opened [s]; infinity if all are closed.
-        open_known_at: when inputs of its board have reached the executor since; infinity before [s].
-        knows_open: whether they have.
+        pins: what boards drive and end-stops read.
+        doors: whether the executor must know that one is open.
         heard_at: by board, when a frame of it reached this process last [s].
         clear_since: time since when nothing disturbs the world; infinity while something does [s].
         instance: number of the executor's process.
@@ -90,21 +84,15 @@ class Account(Witness):
         programs: accepted programs of this process by number.
         running: the last of them, until its result.
         followed: set-points that may be followed.
-        missed: mask of the actuators whose boards have missed a frame since their boot; where nobody reads the outputs
-            back, since their last switch.
-        fallen: mask of the actuators whose outputs changed without a SYNC since the boot.
     """
 
     def __init__(self, world: World) -> None:
         self.world, self.arm = world, JudgedArm(world.arm)
         self.statements = Statements(())
-        self.pins = deque([Pins(-math.inf, 0, 0, 0, 0)], maxlen=REMEMBERED)
-        self.switched_at = [-math.inf] * self.arm.count
-        self.changed_at = [-math.inf] * self.arm.count
-        self.opened_at, self.open_known_at, self.instance_at = math.inf, math.inf, -math.inf
-        self._locks = {f"{lock.bus}/{lock.node}" for lock in world.arm.wiring.interlocks}
+        self.pins = PinRecord(self.arm, world.agenda)
+        self.doors, self.instance_at = Doors(world.arm), -math.inf
         self.clear_since = math.inf
-        self.instance = self.missed = self.fallen = self.order = self.questions = 0
+        self.instance = self.order = self.questions = 0
         self.ordered: dict[str, object] = {}
         self._begin()
 
@@ -148,32 +136,6 @@ class Account(Witness):
         """What may move the arm now: the running program, or the followed set-points."""
         return [*self.followed, *([self.running] if self.running else [])]
 
-    def due(self, k: int) -> float:
-        """Returns when an actuator has arrived at the latest, by its travel time [s]."""
-        return self.switched_at[k] + self.arm.travel[k][self.pins[-1].states >> k & 1]
-
-    @property
-    def arrived(self) -> int:
-        """Mask of the actuators whose end-stop at the end to which they are driven tells that they are there."""
-        pins, arm = self.pins[-1], self.arm
-        extended = pins.states & arm.extended_ends & pins.extended
-        return extended | ~pins.states & arm.contracted_ends & pins.contracted
-
-    def elsewhere(self, states: int) -> int:
-        """Returns the mask of the actuators that are not in `states`: with no coil on, an end-stop may tell it."""
-        pins, arm = self.pins[-1], self.arm
-        read = arm.measured(pins.extended, pins.contracted, pins.states)
-        return (states ^ pins.states) & ((states ^ read) | ~arm.paired | pins.on)
-
-    def since(self, at: float) -> list[Pins]:
-        """Returns all pins that held at a time or later, the newest first."""
-        found: list[Pins] = []
-        for pins in reversed(self.pins):
-            found.append(pins)
-            if pins.at <= at:
-                break
-        return found
-
     def _begin(self) -> None:
         """Forgets the last process."""
         self.roles: dict[ClientId, str] = {}
@@ -184,8 +146,9 @@ class Account(Witness):
         self.programs: dict[int, Motion] = {}
         self.owed: dict[int, Ended] = {}
         self.heard_at: dict[str, float] = {}
-        self.knows_open = self.questioned = self.ordered_end = False
+        self.questioned = self.ordered_end = False
         self.ordered.clear()
+        self.doors.forget()
         self.held, self.held_states = self.arm.declared
         self.running: Motion | None = None
         self.followed: list[Motion] = []
@@ -225,17 +188,12 @@ class Account(Witness):
                 self.ordered_end, self.quitting = self.quitting, True
                 self.bar()
             case FrameReceived(bus, frame):
-                self._hear(bus, frame)
+                self.heard_at[f"{bus}/{frame.id & 0x7F}"] = self.now
+                self.doors.hear(bus, frame, self.now)
             case BusChanged(_, "bus-off" | "down"):  # its boards are lost, and so is what they told of doors
-                self.open_known_at, self.knows_open = math.inf, False
+                self.doors.forget()
             case _:
                 pass
-
-    def _hear(self, bus: str, frame: Frame) -> None:
-        name = f"{bus}/{frame.id & 0x7F}"
-        self.heard_at[name] = self.now
-        if name in self._locks and frame.id & 0x780 in TPDOS and self.now > self.opened_at + REACHED:
-            self.open_known_at, self.knows_open = min(self.open_known_at, self.now), True
 
     @property
     def greets_planner(self) -> bool:
@@ -297,7 +255,7 @@ class Account(Witness):
                 if message.epoch > self.epoch or message.mode not in ("ready", "executing"):
                     self.bar()
                 if self.mode == "starting" and message.mode == "ready":  # the outputs were read back
-                    self.missed, self.fallen = self.missed & self.arm.forgone, 0
+                    self.pins.booted()
                     self.booted = True
                 self.shown, self.epoch = message, message.epoch
                 self.followed = [one for one in self.followed if one.number >= message.stream]
@@ -344,50 +302,34 @@ class Account(Witness):
         """A frame of the executor is on the bus; the boards of a mask of actuators miss it."""
         self.see("leaves", bus, frame, missing)
         if missing and (frame.id == cia301.SYNC or frame.id & 0x780 in RPDOS):
-            self.missed |= missing
+            self.pins.missed |= missing
 
     def answers(self, bus: str, frame: Frame) -> None:
         """A board sends a frame."""
         self.see("answers", bus, frame)
 
-    def drives(self, states: int) -> None:
-        """Takes the ends to which the actuators are driven at the begin of the world."""
-        self.pins.append(self.pins[-1]._replace(states=states))
-
     def switches(self, switch: Switch) -> None:
         """Actuators of one bus are driven to other ends."""
         self.see("switches", switch)
-        for k in bits_of(switch.mask):
-            self.switched_at[k] = self.now
-        self.fallen |= switch.mask * (switch.cause != "SYNC")
-        self.missed &= ~(switch.mask & self.arm.forgone)
-        last = self.pins[-1]
-        self.pins.append(last._replace(at=self.now, states=merged(switch.mask, switch.after, last.states)))
+        self.pins.switch(switch)
 
     def energises(self, coils: Energised) -> None:
         """Coils of one bus came on or went off."""
         self.see("energises", coils)
-        for k in bits_of(coils.came):
-            self.switched_at[k] = self.now
-        last = self.pins[-1]
-        of_bus = sum(1 << k for k, bus in enumerate(self.arm.bus_of) if bus == coils.bus)
-        self.pins.append(last._replace(at=self.now, on=merged(of_bus, coils.on, last.on)))
+        self.pins.energise(coils)
 
     def reads(self, extended: int, contracted: int) -> None:
         """The end-stops of these masks read 1."""
         self.see("reads", extended, contracted)
-        last = self.pins[-1]
-        for k in bits_of((last.extended ^ extended) | (last.contracted ^ contracted)):
-            self.changed_at[k] = self.now
-        self.pins.append(self.pins[-1]._replace(at=self.now, extended=extended, contracted=contracted))
+        self.pins.read(extended, contracted)
 
     def fault(self, verb: str, name: str) -> None:
         """Something breaks at the boards, or is mended."""
         self.see("fault", verb, name)
         if verb == "open":
-            self.opened_at = min(self.opened_at, self.now)
+            self.doors.open(self.now)
         elif verb == "close" and self.world.boards.opened <= {name}:
-            self.opened_at, self.open_known_at, self.knows_open = math.inf, math.inf, False
+            self.doors.close_all()
 
     # --- the world
 

@@ -56,14 +56,14 @@ class PinsHaveACause(Statement):
 
     def _find_cause(self, switch: Switch, text: str) -> None:
         account, sync, shown = self.account, switch.sync, self.account.shown
-        unsure = account.missed | (0 if shown is None else unpack(shown.homing) | unpack(shown.locked))
+        unsure = account.pins.missed | (0 if shown is None else unpack(shown.homing) | unpack(shown.locked))
         sure = switch.mask & ~unsure
         stages = [states for _, due in sync.asked for states in due] if sync is not None else []
         if account.quitting and account.arm.contracts_at_end:
             stages.append(0)
         asked = any(not (switch.after ^ states) & sure for states in stages)
-        loose = switch.mask & account.held & ~account.missed & (switch.after ^ account.held_states)
-        loose &= switch.after ^ account.arm.measured(*account.pins[-1][3:], account.held_states)
+        loose = switch.mask & account.held & ~account.pins.missed & (switch.after ^ account.held_states)
+        loose &= switch.after ^ account.arm.measured(*account.pins.now[3:], account.held_states)
         self.require(not loose, f"{text}; {loose:b} are locked")
         self.require(asked or not sure, lambda: f"{text}; asked for are {[f'{states:b}' for states in stages]}")
 
@@ -143,7 +143,7 @@ class CoilsEndInTime(Statement):
             if not account.booted or not account.world.reaches(k) or self._overdue:
                 self._away[k] += passed
             late = account.now - since - pulses[k] - self._away[k]
-            longest = 2 * TICK + LONGER * (account.missed >> k & 1)
+            longest = 2 * TICK + LONGER * (account.pins.missed >> k & 1)
             self.require(late <= longest + EPSILON, f"a coil of actuator {k} is on {late:g} s too long")
 
 
@@ -154,7 +154,7 @@ class CoilsComeOnByASync(Statement):
 
     def energises(self, coils: Energised) -> None:
         account = self.account
-        came = coils.came & ~account.missed & ~account.world.let_go
+        came = coils.came & ~account.pins.missed & ~account.world.let_go
         if came and coils.cause != FOREIGN_START:
             self.require(coils.cause == "SYNC", f"the coils {came:b} came on by {coils.cause}")
 
@@ -173,7 +173,7 @@ class FewSwitchAtOnce(Statement):
 
     def switches(self, switch: Switch) -> None:
         if switch.cause == "SYNC" and switch.sync is not None:
-            self._look(switch.mask & ~self.account.missed, switch.after, switch.sync.commanded_at)
+            self._look(switch.mask & ~self.account.pins.missed, switch.after, switch.sync.commanded_at)
 
     def _look(self, mask: int, after: int, commanded_at: float) -> None:
         arm, now = self.account.arm, self.account.now

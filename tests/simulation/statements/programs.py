@@ -45,8 +45,8 @@ class AcceptedProgramsFit(Statement):
         self.require(program.epoch >= account.epoch, f"{text} of epoch {program.epoch} in epoch {account.epoch}")
         self.require(account.now <= program.until + EPSILON, f"{text}, too late by {account.now - program.until:g} s")
         self.require(program.program not in account.programs, f"{text} again")
-        unsure = account.missed | account.homing | account.locked | account.fallen
-        differ = account.elsewhere(unpack(program.start)) & ~unsure
+        unsure = account.pins.missed | account.homing | account.locked | account.pins.fallen
+        differ = account.pins.elsewhere(unpack(program.start)) & ~unsure
         self.require(not differ, f"{text} from other states of {differ:b}")
         before, earliest = unpack(program.start), -math.inf
         for stage in program.stages:
@@ -161,7 +161,7 @@ class DoneIsProven(Statement):
     def _read(self, bus: str, node: int, sub: int, byte: int) -> None:
         """Takes a byte of outputs that was read back."""
         for k in bits_of(self._unread):
-            channel, state = self._channels[k], self.account.pins[-1].states >> k & 1
+            channel, state = self._channels[k], self.account.pins.now.states >> k & 1
             second = channel.output_off is not None and not state
             bit, name = (channel.output_off, "output_off") if second else (channel.output, "output")
             on = (state if channel.output_off is None else 1) != (name in channel.inverted)
@@ -179,14 +179,14 @@ class DoneIsProven(Statement):
         self.require(not unread, f"{type(message).__name__}, and nobody has read back the outputs of {unread:b}")
         if done and motion.stages:
             self.require(motion.final, f"program {message.program} is done, and further stages may come")
-            unsure = account.missed | account.fallen | account.locked | account.homing
-            wrong = account.elsewhere(motion.stages[-1].states) & ~unsure
+            unsure = account.pins.missed | account.pins.fallen | account.locked | account.homing
+            wrong = account.pins.elsewhere(motion.stages[-1].states) & ~unsure
             self.require(not wrong, f"program {message.program} is done, and {wrong:b} are not where it wants them")
             if account.clear:
                 unknown = account.homing & ~account.locked & motion.homes
                 self.require(not unknown, f"program {message.program} is done, and has not homed {unknown:b}")
         if isinstance(message, Ended):
-            told = message.verified or (self._moved | account.missed) & arm.forgone
+            told = message.verified or (self._moved | account.pins.missed) & arm.forgone
             self.require(told, f"program {message.program} is not verified, {self._moved:b} have moved")
 
 
@@ -235,12 +235,13 @@ class StrictStagesWait(Statement):
         travels = [
             k
             for k in range(account.arm.count)
-            if account.switched_at[k] < sync.commanded_at < account.due(k) - TICK and not account.arrived >> k & 1
+            if account.pins.switched_at[k] < sync.commanded_at < account.pins.due(k) - TICK
+            and not account.pins.arrived >> k & 1
         ]
         self.require(not travels, f"a strict stage switches {mask:b} while {travels} travel")
 
     def _void(self) -> bool:
-        pins, asked = self.account.pins[-1], self._question
+        pins, asked = self.account.pins.now, self._question
         if asked is None:
             return False
         read, stage = self.account.arm.measured(pins.extended, pins.contracted, pins.states), unpack(asked.stage)
@@ -267,7 +268,7 @@ class StagesBeginInTime(Statement):
         )
         if rests:
             arm, shown = account.arm, account.shown
-            quiet = max(account.due(k) + arm.margin[k] for k in range(arm.count)) + arm.rest
+            quiet = max(account.pins.due(k) + arm.margin[k] for k in range(arm.count)) + arm.rest
             rests = shown is not None and not shown.moving and not unpack(shown.unread)
             rests = rests and account.now > max(quiet, shown.free_at + arm.rest)
         due, settles, ends = self._open(motion) if rests and motion is not None else (False, False, False)

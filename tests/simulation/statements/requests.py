@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from hyperbit.controller.executor.core.events import ClientId, Event, FromClient
 from hyperbit.controller.program import (
     VERSION,
@@ -62,11 +64,11 @@ class LocksAndResetsAreSound(Statement):
         if not isinstance(message, Answer) or not message.accepted or client != account.planner:
             return
         if isinstance(asked, Lock) and asked.request == message.request and asked.state >= 0 and account.clear:
-            k, pins = asked.actuator, account.pins[-1]
-            still = account.now > account.changed_at[k] + NOTICED and account.known >> k & 1
+            k, pins = asked.actuator, account.pins.now
+            still = account.now > account.pins.changed_at[k] + NOTICED and account.known >> k & 1
             if k < account.arm.count and account.arm.definite(pins.extended, pins.contracted) >> k & 1 and still:
                 read = account.arm.measured(pins.extended, pins.contracted, 0) >> k & 1
                 self.require(read == asked.state, f"actuator {k} is locked in {asked.state}, and reads {read}")
         elif isinstance(asked, Reset) and asked.request == message.request and "resetting" in message.message:
             self.require(asked.epoch >= account.epoch, f"a reset of epoch {asked.epoch} in epoch {account.epoch}")
-            self.require(not account.knows_open, "a reset is carried out while a door is open")
+            self.require(account.doors.known_at == math.inf, "a reset is carried out while a door is open")

@@ -71,7 +71,7 @@ class NothingBeginsBesideAnOpenDoor(Statement):
     def switches(self, switch: Switch) -> None:
         account, sync = self.account, switch.sync
         if switch.cause == "SYNC" and sync is not None and account.world.arm.wiring.interlocks:
-            begins = account.knows_open and sync.commanded_at > account.open_known_at + TICK
+            begins = sync.commanded_at > account.doors.known_at + TICK
             self.require(not begins, f"{switch.mask:b} switch while a door is open")
 
 
@@ -101,14 +101,14 @@ class AnEndInOrderLeavesTheArmAtRest(Statement):
             self._held = account.mode not in ("ready", "executing")
 
     def killed(self) -> None:
-        account, pins = self.account, self.account.pins[-1]
+        account, pins = self.account, self.account.pins.now
         if not account.ordered_end or self._hurried:
             return
         if account.clear:
             on = pins.on & mask_of(account.arm.pulse)
             self.require(not on, f"the executor has ended, and the pulses of {on:b} are on")
         if account.arm.contracts_at_end and not self._held:
-            left = pins.states & ~account.locked & ~account.homing & ~account.missed & ~account.fallen
+            left = pins.states & ~account.locked & ~account.homing & ~account.pins.missed & ~account.pins.fallen
             self.require(not left or self._warned, f"the executor has ended, and {left:b} are not contracted")
 
 

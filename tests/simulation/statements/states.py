@@ -180,7 +180,7 @@ class NoStageTouchesAnObstacle(OfTheArm):
 
     def sends(self, bus: str, frame: Frame) -> None:
         if frame.id & 0x780 in RPDOS:
-            shown, pins = self.account.shown, self.account.pins[-1].states
+            shown, pins = self.account.shown, self.account.pins.now.states
             self._among = self.exchange.in_force
             held = 0 if shown is None else unpack(shown.locked)
             known = shown is not None and unpack(shown.known) == (1 << self.account.arm.count) - 1
@@ -200,7 +200,7 @@ class NoStageTouchesAnObstacle(OfTheArm):
             return  # a jog from no configuration is not checked, either
         if switch.sync is not None and switch.sync.program in self._unchecked:
             return
-        locked, pins = unpack(snapshot.locked), self.account.pins[-1].states
+        locked, pins = unpack(snapshot.locked), self.account.pins.now.states
         after = (pins ^ switch.mask) & ~locked | before & locked
         touched = [disc for disc in self._among if self.mechanics.space.touched(disc, before, after)]
         self.require(not touched, lambda: f"a stage from {before:b} to {after:b} touches {touched}")

@@ -46,33 +46,36 @@ class SnapshotsAreTrue(Statement):
             return
         measured, known, arm = unpack(message.measured), unpack(message.known), account.arm
         locked = account.locked | unpack(message.locked)
-        known &= ~(locked | account.missed) | arm.sensed
+        known &= ~(locked | account.pins.missed) | arm.sensed
         ever, always = 0, -1
-        for pins in account.since(account.now - LATE):
+        for pins in account.pins.since(account.now - LATE):
             read = arm.measured(pins.extended, pins.contracted, pins.states)
             ever, always = ever | read, always & read
         wrong = known & (measured & ~ever | ~measured & always)
         self.require(not wrong, lambda: f"{measured:b} is told of {known:b}, {wrong:b} is wrong")
         driven, ever, always = unpack(message.outputs), 0, -1
-        for pins in account.since(account.now - LATE):
+        for pins in account.pins.since(account.now - LATE):
             ever, always = ever | pins.states, always & pins.states
-        unsure = account.homing | unpack(message.homing) | locked | account.missed
+        unsure = account.homing | unpack(message.homing) | locked | account.pins.missed
         wrong = (driven & ~ever | ~driven & always) & ~unsure
         self.require(not wrong, lambda: f"the outputs {driven:b} are told, {wrong:b} is wrong")
         travels = self._travelling(account.now)
         self.require(message.moving or not travels, lambda: f"{travels:b} travel, and nothing is told as moving")
-        due = max((account.due(k) for k in range(arm.count) if account.switched_at[k] < account.now - LATE), default=0)
+        due = max(
+            (account.pins.due(k) for k in range(arm.count) if account.pins.switched_at[k] < account.now - LATE),
+            default=0,
+        )
         free = message.free_at >= due - EPSILON or due <= account.now  # outputs fall unnoticed if boards are lost
         self.require(free, lambda: f"free_at {message.free_at - due:g} s too early")
 
     def _travelling(self, now: float) -> int:
         """Returns the mask of the actuators that were switched a while ago, and that nobody may call arrived."""
         account, mask = self.account, 0
-        for k, at in enumerate(account.switched_at):
+        for k, at in enumerate(account.pins.switched_at):
             if (
                 self._booted_at < at < now - LATE / 2
-                and now < account.due(k) - EPSILON
-                and not account.arrived >> k & 1
+                and now < account.pins.due(k) - EPSILON
+                and not account.pins.arrived >> k & 1
             ):
                 mask |= 1 << k
         return mask
@@ -155,9 +158,9 @@ class ResultsCountTheirSwitches(Statement):
     def says(self, message: Up) -> None:
         account = self.account
         if isinstance(message, Accepted):
-            late = (k for k, margin in enumerate(account.arm.margin) if account.now < account.due(k) + margin)
+            late = (k for k, margin in enumerate(account.arm.margin) if account.now < account.pins.due(k) + margin)
             self._carried[message.program] = mask_of(late)
-        if not isinstance(message, Ended | Settled) or account.missed or account.fallen:
+        if not isinstance(message, Ended | Settled) or account.pins.missed or account.pins.fallen:
             return
         counts = self._least.get(message.program, [0] * account.arm.count)
         least, carried = sum(counts), self._carried[message.program]

@@ -225,9 +225,9 @@ def test_too_few_inputs_are_a_fault_and_of_more_the_first_ones_count_with_one_wa
 
 
 def read_errors(world: World) -> Errors | ArmFault:
-    world.master.read_errors(0)
+    world.master.errors.ask(0)
     told: list[tuple[int, Errors | ArmFault]] = []
-    world.until(lambda: told or told.extend(world.master.drain_errors()), 60)
+    world.until(lambda: told or told.extend(world.master.errors.drain()), 60)
     [(board, found)] = told
     assert board == 0
     return found

@@ -213,14 +213,14 @@ def test_a_pulse_is_read_back_while_errors_are_read() -> None:
         world.objects.set_number(0x1003, sub, 0x8130)
     world.objects.set_number(0x1003, 0, 8)
     for states in (0b01, 0b10) * 5:
-        world.master.read_errors(0)
+        world.master.errors.ask(0)
         world.run(0.001)
         for outputs, then in ((states, 0.05), (0, 0.5)):
             world.master.commit(outputs, world.now)
             world.until(lambda: not world.master.committing)
             world.run(then)
         assert world.master.drain_missed() == 0
-        assert [len(found.history) for _, found in world.master.drain_errors()] == [8]
+        assert [len(found.history) for _, found in world.master.errors.drain()] == [8]
 
 
 def test_a_coil_that_another_program_has_switched_on_leaves_the_state_unknown() -> None:
