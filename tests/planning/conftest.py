@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.program import FaultVerb, PlayableFaults
 from hyperbit.controller.workspace.densities import Densities
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.planning.rig.desk import Desk
@@ -19,6 +20,8 @@ DOCUMENT: dict[str, Any] = {
     "tolerance": {"position": 0.002},
     "travel_time": 0.05,
 }
+HOLD = 60.0  # [s], of the tracker
+SIMULATION = PlayableFaults((FaultVerb("silence", "board", "", "disconnect it"),), ("can0/1",), ("can0",), ())
 # A joint of three states has two actuators, and one pair of their states is no configuration.
 JOINT = {"type": "transforms", "states": [{"position": [0.1, 0.05 * k]} for k in range(3)], "count": 2}
 
@@ -54,6 +57,18 @@ def make_desk() -> Callable[..., Desk]:
         return desk
 
     return make
+
+
+@pytest.fixture
+def make_tracked(read: Callable[[Any], Arm], small_densities: Densities, make_desk: Callable[..., Desk]) -> Any:
+    """Makes the desk of an arm whose tip is measured."""
+    tracker = {"noise": 1e-4, "clamp": 0.01, "hold": HOLD}
+    return lambda: make_desk(read({**DOCUMENT, "tracker": tracker}), small_densities)
+
+
+@pytest.fixture
+def make_simulated(small: Arm, small_densities: Densities, make_desk: Callable[..., Desk]) -> Any:
+    return lambda: make_desk(small, small_densities, simulation=SIMULATION)
 
 
 @pytest.fixture

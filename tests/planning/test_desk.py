@@ -14,7 +14,7 @@ from hyperbit.controller.motion.plans import whole
 from hyperbit.controller.motion.plans.transitions import TransitionPlanner
 from hyperbit.controller.motion.stages.feed import PlanProof
 from hyperbit.controller.motion.stages.pacing import pace_of
-from hyperbit.controller.planning.core.events import Answered, Arrival, CancelMessage, Request
+from hyperbit.controller.planning.core.events import Answered, Arrival, Request
 from hyperbit.controller.planning.core.parts import Admission
 from hyperbit.controller.planning.core.results import why_not_as_planned
 from hyperbit.controller.planning.core.tasks import PlanGoal
@@ -180,13 +180,12 @@ def test_a_goal_that_arrived_before_the_cancel_of_its_id_is_refused_wherever_it_
 
 
 def test_cancels_of_many_ids_and_streams_without_an_executor_leave_nothing(desk: Desk) -> None:
-    for number in range(1, 2_000):
-        desk.names[number] = "cancel"
-        desk.post(Request(Arrival(number, desk.now), "cancel", CancelMessage(f"g{number}"), desk.wall))
+    for number in range(2_000):
+        desk.ask("cancel", {"id": f"g{number}"})
     assert len(desk.core.admission.canceled) < 300
     desk.drop()
-    for number in range(2_000, 5_000):
-        desk.setpoint(b'{"position": [9.0, 9.0]}' if number % 2 else b"{", number)
+    for number in range(3_000):
+        desk.setpoint(b'{"position": [9.0, 9.0]}' if number % 2 else b"{")
         desk.now += 0.3 * (number % 10 == 0)
     assert len(desk.core.admission.unresolved) < 300
 

@@ -7,13 +7,11 @@ from pathlib import Path
 import pytest
 
 from hyperbit.controller.arm.arm import Arm
-from hyperbit.controller.program import FaultVerb, PlayableFaults
 from hyperbit.controller.workspace.densities import Densities
+from tests.planning.conftest import SIMULATION
 from tests.planning.rig.desk import Desk
 from tests.planning.rig.play import Play
 from tests.scenario import Scenario, cases
-
-SIMULATION = PlayableFaults((FaultVerb("silence", "board", "", "disconnect it"),), ("can0/1",), ("can0",), ())
 
 
 @pytest.mark.parametrize(("path", "scenario"), cases(Path(__file__).parent / "scenarios"))

@@ -1,42 +1,58 @@
-"""The arm at a snapshot, its mode and the sentence on its program; prepared searches; measured tips and their bias."""
+"""The arm at a snapshot, and the sentence on its program; prepared searches; measured tips and their bias."""
 
 from __future__ import annotations
 
-import json
-import math
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
 from hyperbit.controller.arm.arm import Arm
-from hyperbit.controller.armfile.settings import TrackerSettings
-from hyperbit.controller.planning.core.arm import ArmState
-from hyperbit.controller.planning.core.goals import IDLE, REHEARSE_EVERY, Preparation
-from hyperbit.controller.planning.core.premises import TipBiasEstimator
-from hyperbit.controller.planning.core.tasks import Done, PrepareSearch
-from hyperbit.controller.program import Fault
-from tests.planning.rig.played_core import PlayedCore
+from hyperbit.controller.motion.stages.pacing import pace_of
+from hyperbit.controller.planning.core.arm import ArmState, ExecutorView
+from hyperbit.controller.planning.core.goals import IDLE, REHEARSE_EVERY, REHEARSE_FOR
+from hyperbit.controller.planning.core.tasks import PrepareSearch
+from hyperbit.controller.program import Fault, Program, Snapshot
+from hyperbit.controller.refusals.reasons import Reason
+from tests.planning.conftest import HOLD
+from tests.planning.rig.desk import Desk
+
+NONE, ALL = bytes(2), b"\xff\x0f"
+
+
+class View(ExecutorView):
+    """The planner's view of an executor that the test plays."""
+
+    def __init__(self, arm: Arm) -> None:
+        super().__init__(arm.manipulator, arm.travel_time, pace_of(arm.settings))
+        self._told = Snapshot(0.0, "ready", "holding", 1, NONE, NONE, ALL, ALL, NONE, 0, False, 0.0, -1, -1, -1, ())
+        self.show()
+
+    def show(self, **changes: Any) -> None:
+        """Takes a snapshot with changes; new outputs are measured, too."""
+        changes.setdefault("measured", changes.get("outputs", self._told.measured))
+        self._told = msgspec.structs.replace(self._told, **changes)
+        self.receive_snapshot(self._told)
 
 
 @pytest.fixture
-def played(small: Arm) -> PlayedCore:
-    played = PlayedCore(small)
-    played.show()
-    return played
+def view(small: Arm) -> View:
+    return View(small)
 
 
 def computed(state: ArmState | None) -> dict[str, Any]:
     return {name: getattr(state, name) for name, value in vars(ArmState).items() if isinstance(value, cached_property)}
 
 
-def test_a_snapshot_without_a_change_of_actuators_is_not_computed_again(played: PlayedCore) -> None:
-    before = computed(played.view.state)
-    played.show(faults=(Fault("a", "b", "c"),), reason="holding still", epoch=9)
-    assert played.view.state is not None
-    assert played.view.state.snapshot.epoch == 9
-    after = computed(played.view.state)
+def test_a_snapshot_without_a_change_of_actuators_is_not_computed_again(view: View) -> None:
+    before = computed(view.state)
+    view.show(faults=(Fault("a", "b", "c"),), reason="holding still", epoch=9)
+    assert view.state is not None
+    assert view.state.snapshot.epoch == 9
+    after = computed(view.state)
     assert all(after[name] is before[name] for name in before)
 
 
@@ -54,134 +70,97 @@ def test_a_snapshot_without_a_change_of_actuators_is_not_computed_again(played: 
     ],
     ids=lambda change: ", ".join(change),
 )
-def test_a_change_of_actuators_is_computed_anew(played: PlayedCore, change: dict[str, Any]) -> None:
-    computed(played.view.state)
-    played.show(**change)
-    later = played.view.state
+def test_a_change_of_actuators_is_computed_anew(view: View, change: dict[str, Any]) -> None:
+    computed(view.state)
+    view.show(**change)
+    later = view.state
     assert later is not None
-    fresh = computed(ArmState(played.arm.manipulator, later.snapshot))
+    fresh = computed(ArmState(view.manipulator, later.snapshot))
     for name, value in computed(later).items():
         np.testing.assert_equal(value, fresh[name], name)
 
 
-def test_the_sentence_on_a_program_ends_with_a_fault_before_the_arm_is_ready_again(played: PlayedCore) -> None:
-    for mode in ("executing", "fault", "starting"):
-        played.show(mode=mode, reason=mode)
-        if mode == "executing":
-            played.view.ended("holding; goal a was aborted")
-    played.show(mode="ready", reason="holding what the boards measured")
-    assert played.view.mode() == ("ready", "holding what the boards measured")
-    played.show(mode="starting", reason="booting")
-    played.view.ended("holding; goal b was aborted")  # its result was owed
-    played.show(mode="ready", reason="holding what the boards measured")
-    assert played.view.mode() == ("ready", "holding what the boards measured")
+def test_an_end_that_was_owed_gives_no_reason(view: View) -> None:
+    view.show(mode="starting", reason="booting")
+    view.ended("holding; goal a was aborted")
+    view.show(mode="ready", reason="holding what the boards measured")
+    assert view.mode() == ("ready", "holding what the boards measured")
+    view.lost("the executor closed the connection")
+    view.ended("holding; goal b was reached")  # long ago, perhaps before a fault
+    view.show()
+    assert view.mode() == ("ready", "holding what the boards measured")
 
 
-def test_a_program_that_ended_before_the_first_snapshot_gives_no_reason(played: PlayedCore) -> None:
-    played.view.lost("the executor closed the connection")
-    played.view.ended("holding; goal a was reached")  # long ago, perhaps before a fault
-    played.show(mode="ready", reason="holding what the boards measured")
-    assert played.view.mode() == ("ready", "holding what the boards measured")
-
-
-def test_the_sentence_on_a_program_stays_until_the_executor_gives_another_reason(played: PlayedCore) -> None:
-    played.show(mode="executing", reason="goal a")
-    played.view.ended("holding; goal a was reached")
-    for _ in range(2):
-        played.show(mode="ready", reason="holding; goal a is done")
-        assert played.view.mode() == ("ready", "holding; goal a was reached")
-    played.show(mode="ready", reason="canceled")
-    assert played.view.mode() == ("ready", "canceled")
-
-
-def test_a_search_is_prepared_after_a_pause_and_the_next_look_comes_a_rehearsal_later(small: Arm) -> None:
-    played = PlayedCore(small)
-    played.show()
-    preparation = Preparation(played.parts, played.premises, played.programs, prepares=True)
-    preparation.begin(None)
-    assert preparation.advance() == played.now + IDLE
-    played.advance(IDLE)
-    assert preparation.advance() == math.inf
-    number, _ = played.task(PrepareSearch)
-    played.answer(number, Done())
-    assert preparation.advance() == pytest.approx(played.now + REHEARSE_EVERY, abs=1e-9)
+def test_a_search_is_prepared_after_a_pause_and_rehearsed_for_a_while(desk: Desk) -> None:
+    desk.goal((1, 2, 0, 0))
+    desk.executor.decline(desk.executor.expect(Program), Reason.OVERTAKEN)
+    desk.held = {PrepareSearch}
+    desk.started.clear()
+    desk.pass_time(IDLE - 0.001)
+    assert desk.started[PrepareSearch] == 0
+    desk.pass_time(0.5)
+    assert desk.started[PrepareSearch] == 1, "one at a time"
+    desk.release(PrepareSearch)
+    desk.pass_time(10 * REHEARSE_EVERY)
+    assert desk.started[PrepareSearch] in range(9, 13)
+    desk.pass_time(REHEARSE_FOR)
+    desk.started.clear()
+    desk.pass_time(1.0)
+    assert desk.started[PrepareSearch] == 0, "the arm is where it was"
 
 
 OFFSET = np.array([0.002, -0.001])
-HOLD = 60.0  # [s]
-
-
-class BiasBench(PlayedCore):
-    """An arm at rest whose tip is measured with a steady offset."""
-
-    def __init__(self, arm: Arm) -> None:
-        super().__init__(arm)
-        settings = TrackerSettings(noise=1e-4, clamp=0.01, hold=HOLD)
-        self.estimator = TipBiasEstimator(self.parts, self.locks, settings)
-        self.show()
-
-    def measure(self, age: float = 0.01, **fields: Any) -> None:
-        measured = {"position": (self.tip(0, 0, 0, 0) + OFFSET).tolist(), "stamp": self.wall - age}
-        self.estimator.receive_tip(json.dumps({**measured, **fields}).encode())
-
-    def refusal(self) -> str:
-        status = self.estimator.status()
-        assert (status["received"], status["accepted"], status["refused"]) == (1, 0, 1)
-        return str(status["last_refusal"])
 
 
 @pytest.fixture
-def bench(small: Arm) -> BiasBench:
-    return BiasBench(small)
+def tracked(make_tracked: Callable[[], Desk]) -> Desk:
+    return make_tracked()
 
 
-def test_the_bias_is_measured_minus_computed_tip(bench: BiasBench) -> None:
+def measure(desk: Desk, age: float = 0.01, **fields: Any) -> None:
+    desk.measure((np.array(desk.tip(0, 0, 0, 0)) + OFFSET).tolist(), age, **fields)
+
+
+def test_the_bias_is_measured_minus_computed_tip(tracked: Desk) -> None:
+    status = tracked.diagnostics()["tracker"]
+    assert (tracked.state()["bias"], status["received"], status["estimate"]) == ([0, 0], 0, None)
     for _ in range(50):
-        bench.advance(0.05)
-        bench.measure()
-    assert bench.estimator.bias() == pytest.approx(OFFSET, abs=1e-4)
-    status = bench.estimator.status()
+        tracked.pass_time(0.05)
+        measure(tracked)
+    assert tracked.state()["bias"] == pytest.approx(OFFSET, abs=1e-4)
+    status = tracked.diagnostics()["tracker"]
     assert (status["accepted"], status["refused"], status["last_refusal"]) == (50, 0, None)
     assert status["estimate"] == pytest.approx(OFFSET, abs=1e-4)
     assert 0 < status["deviation"] < 1e-4
-    bench.advance(HOLD + 1)
-    assert bench.estimator.bias().tolist() == [0, 0]
-
-
-def test_without_samples_the_bias_is_zero_and_json(bench: BiasBench) -> None:
-    assert json.loads(json.dumps(bench.estimator.status()))["estimate"] is None
-    assert bench.estimator.bias().tolist() == [0.0, 0.0]
+    tracked.pass_time(HOLD + 1)
+    assert tracked.state()["bias"] == [0, 0]
 
 
 @pytest.mark.parametrize(
-    ("age", "refused"), [(1.1, "stamp: 1.100 s old on arrival"), (-0.1, "stamp: 0.100 s in the future")]
+    ("changes", "fields", "refused"),
+    [
+        ({}, {"age": 1.1}, "stamp: 1.100 s old on arrival"),
+        ({}, {"age": -0.1}, "stamp: 0.100 s in the future"),
+        ({}, {"position": [1.0]}, ""),
+        ({}, {"position": [9.0, 9.0]}, ""),
+        ({"moving": True}, {}, "stamp: the arm was moving, or not yet settled"),
+        ({"free_in": -0.005}, {}, "stamp: the arm was moving, or not yet settled"),
+        ({"mode": "fault"}, {}, "the arm is fault, or its configuration is not known"),
+        ({"known": NONE}, {}, "the arm is ready, or its configuration is not known"),
+        (None, {}, "the arm is fault, or its configuration is not known"),
+    ],
 )
-def test_late_and_early_samples_are_refused(bench: BiasBench, age: float, refused: str) -> None:
-    bench.measure(age)
-    assert bench.refusal().startswith(refused)
-
-
-@pytest.mark.parametrize("changes", [{"moving": True}, {"free_at": 99.995}])
-def test_a_tip_measured_before_the_arm_settled_is_refused(bench: BiasBench, changes: dict[str, Any]) -> None:
-    bench.show(**changes)
-    bench.measure(age=0.01)
-    assert bench.refusal() == "stamp: the arm was moving, or not yet settled"
-
-
-@pytest.mark.parametrize("changes", [{"mode": "fault"}, {"known": bytes(2)}])
-def test_the_tip_of_an_arm_in_no_known_configuration_is_refused(bench: BiasBench, changes: dict[str, Any]) -> None:
-    bench.show(**changes)
-    bench.measure()
-    assert bench.refusal().endswith("or its configuration is not known")
-
-
-def test_a_tip_without_an_executor_is_refused(bench: BiasBench) -> None:
-    bench.view.lost("the executor is gone")
-    bench.measure()
-    assert bench.refusal() == "the arm is fault, or its configuration is not known"
-
-
-def test_malformed_and_far_samples_are_refused(bench: BiasBench) -> None:
-    bench.measure(position=[1.0])
-    bench.measure(position=[9.0, 9.0])
-    assert bench.estimator.status()["refused"] == 2
+def test_a_tip_that_cannot_be_used_is_refused(
+    tracked: Desk, changes: dict[str, Any] | None, fields: dict[str, Any], refused: str
+) -> None:
+    if changes is None:
+        tracked.drop()
+    elif "free_in" in changes:
+        tracked.executor.show(free_at=tracked.now + changes["free_in"])
+    else:
+        tracked.executor.show(**changes)
+    at = fields.pop("position", None)
+    measure(tracked, **fields) if at is None else tracked.measure(at)
+    status = tracked.diagnostics()["tracker"]
+    assert (status["received"], status["accepted"], status["refused"]) == (1, 0, 1)
+    assert status["last_refusal"].startswith(refused)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from hyperbit.controller.arm.arm import Arm
-from hyperbit.controller.host.process import Log, Quit
+from hyperbit.controller.host.process import Log, Notify, Quit
 from hyperbit.controller.motion.stages.pacing import pace_of
 from hyperbit.controller.obstacles.obstacles import NONE
 from hyperbit.controller.planning.core.core import Beginning, Core
@@ -24,7 +24,6 @@ from hyperbit.controller.planning.core.events import (
     Disconnect,
     Event,
     Fail,
-    FromExecutor,
     Hurry,
     LinkDown,
     Publish,
@@ -38,6 +37,7 @@ from hyperbit.controller.planning.core.events import (
     SetpointArrived,
     Start,
     Tick,
+    TipArrived,
     ToExecutor,
     Wake,
     refused,
@@ -45,74 +45,22 @@ from hyperbit.controller.planning.core.events import (
 from hyperbit.controller.planning.core.tasks import Answer, BuildScene, BuildTables, Done, Failed, Task
 from hyperbit.controller.planning.planner import RequestDecoder
 from hyperbit.controller.program import (
-    VERSION,
     Alive,
     Cancel,
     Counts,
     Down,
     PlayableFaults,
     Stop,
-    Up,
-    Welcome,
     pack,
-    unpack,
 )
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.workspace.densities import Densities
-from tests.planning.rig.played_executor import PlayedExecutor
+from tests.planning.rig.played_executor import DeskExecutor, Inbox
 from tests.planning.rig.prompt_workers import PromptWorkers
 
+T = TypeVar("T", bound=Task)
+SETPOINT_EVERY = 0.02  # [s]
 FAR = 1e9  # [s], so far ahead that look-ahead never decides a point early
-
-
-class DeskExecutor(PlayedExecutor):
-    """The executor of a desk.
-
-    Attributes:
-        messages: of the planner, but keep-alives and counts.
-    """
-
-    def __init__(self, desk: Desk, actuators: int) -> None:
-        self._desk, self.messages = desk, deque[Down]()
-        super().__init__(actuators)
-
-    def greet(self, greatest: int = 0) -> None:
-        self.send(
-            Welcome(VERSION, "small", "d" * 64, self.instance, (0,) * self.actuators, greatest, self._desk.simulation)
-        )
-        self.show()
-
-    def now(self) -> float:
-        return self._desk.now
-
-    def send(self, message: Up) -> None:
-        self._desk.post(FromExecutor(message))
-
-    def take(self) -> Down | None:
-        return self.messages.popleft() if self.messages else None
-
-    def waiting(self) -> deque[Down]:
-        return self.messages
-
-
-class Inbox:
-    def __init__(self, said: list[tuple[str, Any]]) -> None:
-        self.payloads = deque[tuple[str, dict[str, Any]]]()
-        self._said = said
-
-    def put(self, key: str, payload: Any) -> None:
-        self.payloads.append((key, dict(payload)))
-        self._said.append((key, dict(payload)))
-
-    def next(self, key: str) -> dict[str, Any]:
-        assert self.payloads, f"no {key} came"
-        came, payload = self.payloads.popleft()
-        assert came == key, f"{came} {payload} came where {key} was expected"
-        return payload
-
-    @property
-    def empty(self) -> bool:
-        return not self.payloads
 
 
 class Desk:
@@ -125,6 +73,10 @@ class Desk:
         said: the same and messages to the executor, by key, in their order.
         published: the latest `state` and `diagnostics`.
         entries: what the ledger has recorded.
+        lines: of the log. notified: what systemd was told.
+        publications: time and key of each publication but feedback [s].
+        started: number of tasks of each kind.
+        steps: number of the core's steps.
         failures: sentences with which the process would have ended.
         held: kinds of tasks that are not answered, until `release`.
         failing: kinds of tasks that fail.
@@ -148,7 +100,9 @@ class Desk:
         self.said = list[tuple[str, Any]]()
         self.inbox, self.published, self.entries = Inbox(self.said), dict[str, Any](), list[tuple[Any, ...]]()
         self.hurried = list[int]()  # numbers of tasks
-        self.logs, self.failures, self.counts = list[str](), list[str](), (0,) * len(arm.manipulator.actuators)
+        self.lines, self.failures, self.counts = list[Log](), list[str](), (0,) * len(arm.manipulator.actuators)
+        self.notified, self.publications = list[str](), list[tuple[float, str]]()
+        self.started, self.steps = Counter[type[Task]](), 0
         self.held, self.failing, self.storing = set[type[Task]](), set[type[Task]](), True
         self.decode = RequestDecoder(arm).decode
         self._events, self.queued = deque[Event](), dict[int, Task]()
@@ -168,6 +122,7 @@ class Desk:
         """Has the core handle events, and all that follows from them."""
         self._events.extend(events)
         while self._events:
+            self.steps += 1
             for action in self.core.step(self._events.popleft(), self.now, self.wall):
                 self._carry_out(action)
 
@@ -222,6 +177,9 @@ class Desk:
                 self.inbox.put("feedback", payload)
             case Publish(key, payload):
                 self.published[key] = payload
+                self.publications.append((self.now, key))
+            case Notify(text):
+                self.notified.append(text)
             case PublishResult():
                 self.inbox.put("inherited" if action.inherited else "result", action.payload)
                 self._store(action) if self.storing else self._waiting.append(action)
@@ -234,6 +192,7 @@ class Desk:
                     self._to_executor(message)
             case Start(number, task):
                 self.queued[number] = task
+                self.started[type(task)] += 1
                 if type(task) not in self.held:
                     self._answer(number, task)
             case Abandon(number):
@@ -243,8 +202,8 @@ class Desk:
                 self.hurried.append(number)
             case Wake(at):
                 self._wake = at
-            case Log(_, text):
-                self.logs.append(text)
+            case Log():
+                self.lines.append(action)
             case Fail(reason) | Disconnect(reason):
                 self.failures.append(reason)
 
@@ -292,8 +251,28 @@ class Desk:
         self.executor.messages.append(message)
         self.said.append(("executor", message))
 
-    def setpoint(self, payload: bytes, number: int, sender: str = "") -> None:
-        self.post(SetpointArrived(payload, Arrival(number, self.now - self.delay), sender))
+    def setpoint(self, payload: Any, sender: str = "") -> None:
+        """Sends a set-point: JSON, or bytes."""
+        self._numbers += 1
+        data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
+        self.post(SetpointArrived(data, Arrival(self._numbers, self.now - self.delay), sender))
+
+    def stream(self, position: list[float], seconds: float, sender: str = "") -> None:
+        """Sends a set-point each 0.02 s, for a time [s]."""
+        for _ in range(round(seconds / SETPOINT_EVERY)):
+            self.setpoint({"position": position, "tolerance": {"position": 0.01}}, sender)
+            self.pass_time(SETPOINT_EVERY)
+
+    def measure(self, position: list[float], age: float = 0.01, **fields: Any) -> None:
+        """Sends a measured tip."""
+        self._numbers += 1
+        payload = {"position": position, "stamp": self.wall - age, **fields}
+        self.post(TipArrived(json.dumps(payload).encode(), Arrival(self._numbers, self.now)))
+
+    def waiting(self, kind: type[T]) -> tuple[int, T]:
+        """Returns number and content of the one task of a kind that is held."""
+        ((number, task),) = [(number, task) for number, task in self.queued.items() if isinstance(task, kind)]
+        return number, task
 
     def goal(self, *configurations: tuple[int, ...], step: float = 0.2, name: str = "a", **fields: Any) -> None:
         """Sends a goal whose waypoints are the tips of configurations."""
@@ -319,5 +298,5 @@ class Desk:
         return dict(self.published["diagnostics"])
 
     @property
-    def outputs(self) -> int:
-        return unpack(self.executor.state.outputs)
+    def logs(self) -> list[str]:
+        return [line.text for line in self.lines]

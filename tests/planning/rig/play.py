@@ -6,8 +6,6 @@ acknowledgements, and replacements of look-ahead, which may be told. Facts are c
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,6 @@ from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, ResultEntry, Unsent, Warned
 from hyperbit.controller.program import (
     Acknowledge,
-    Answer,
     Cancel,
     Clearance,
     Down,
@@ -23,18 +20,15 @@ from hyperbit.controller.program import (
     Lock,
     PlayFault,
     Program,
-    Question,
     Replaced,
     Replacement,
     Reset,
+    Setpoint,
     Stop,
-    Travel,
-    pack,
-    unpack,
 )
-from hyperbit.controller.refusals.reasons import Reason
-from hyperbit.controller.refusals.refusal import Refused
+from tests.planning.rig import executor_steps
 from tests.planning.rig.desk import Desk
+from tests.planning.rig.facts import FACTS
 from tests.scenario import Scenario, matches
 
 NAMED = {
@@ -56,6 +50,8 @@ class Play:
         self.replaced: Any = None
         self.questions = 0
         self.began, self.payload = desk.now, dict[str, Any]()
+        self.setpoint: Any = None  # the latest command of a stream
+        self.commanded, self._followed = False, ""  # whether one came in this step; what was told of the latest
 
     def run(self, path: Path) -> None:
         for line in self.scenario.lines:
@@ -95,6 +91,16 @@ class Play:
                 desk.ask("obstacles", {"regions": regions}, "obstacles")
             case "arm", []:
                 desk.ask("arm", None, "arm")
+            case "setpoint", [at, *rest]:
+                fields = dict(zip(rest[::2], rest[1::2], strict=True))
+                stamp = {"stamp": desk.wall - float(fields["old"])} if "old" in fields else {}
+                desk.setpoint({"position": self._place(at), **stamp}, fields.get("from", ""))
+            case "setpoint", []:
+                desk.setpoint(said.encode())
+            case "stream", [at, "for", seconds, *sender]:
+                desk.stream(self._place(at), float(seconds), *sender[1:])
+            case "clock", [seconds]:
+                desk.wall += float(seconds)
             case "wait", [seconds]:
                 desk.pass_time(float(seconds))
             case "delay", [seconds]:
@@ -118,7 +124,7 @@ class Play:
             case "another", ["process", *knows]:
                 self._begin_anew(knows, said)
             case "executor", [did, *rest]:
-                self._executor(did, rest, said)
+                executor_steps.do(self, did, rest, said)
             case "unsent", []:
                 desk.post(Unsent(self.asked.request, said))
             case _:
@@ -138,84 +144,6 @@ class Play:
         self.executor.instance = instance
         self.executor.greet()
 
-    def _executor(self, did: str, words: list[str], said: str) -> None:
-        executor, given = self.executor, dict(zip(words[::2], words[1::2], strict=False))
-        match did:
-            case "accepts":
-                self.running = self.program
-                executor.accept(self.program)
-            case "declines":
-                facts = {words[1]: said} if len(words) > 1 else {}
-                executor.decline(self.program, Reason(words[0]), **facts)
-            case "runs":
-                stage, switches = (
-                    int(words[0]),
-                    int(dict(zip(words[1::2], words[2::2], strict=True)).get("switches", 1)),
-                )
-                measured = dict(zip(words[1::2], words[2::2], strict=True)).get("at")
-                executor.run(self.running, stage, switches, measured and self.desk.packed(*NAMED[measured]))
-            case "ends":
-                program = self.running or self.program
-                status = words[0] if len(words) % 2 else "done"
-                fields = dict(zip(words[len(words) % 2 :: 2], words[len(words) % 2 + 1 :: 2], strict=True))
-                more: dict[str, Any] = {name: int(fields[name]) for name in ("mark", "switches") if name in fields}
-                more |= {"verified": False} if "verified" in fields else {}
-                if "travels" in fields:
-                    more["travels"] = (Travel(5, 1, float(fields["travels"])),)
-                if "at" in fields:
-                    more["measured"] = self.desk.packed(*NAMED[fields["at"]])
-                if status == "done":
-                    more.setdefault("mark", program.stages[-1].mark)
-                else:
-                    more.setdefault("mark", -1)
-                self.ended = executor.end(program, status, said or "done", **more)
-            case "repeats":
-                executor.send(self.ended)
-            case "answers" | "refuses":
-                executor.answer(self.asked, said, did == "answers", **self._fields(given))
-            case "locked":  # a refusal of a lock, without a new epoch
-                refused = Refused(Reason.LOCK_WHILE_MOVING, {"mode": "executing"})
-                executor.send(Answer(self.asked.request, "", refused))
-            case "shows":
-                self.desk.show(**self._fields(given))
-            case "replaces":
-                executor.send(Replaced(self.running.program, self.replaced.generation, True))
-            case "asks":
-                self.questions += 1
-                start, stage = (self.desk.packed(*NAMED[word]) for word in words)
-                executor.send(Question(self.questions, start, stage))
-            case "dies":
-                self.desk.drop(said or "the executor closed the connection")
-            case "greets":
-                executor.greet(self.program.program if self.program else 0)
-            case "tells":
-                executor.send(Answer(self.asked.request, said))
-            case "changes":
-                executor.instance += 1
-            case "restarts":
-                executor.instance += 1
-                executor.greet()
-            case _:
-                raise ValueError(f"the executor cannot: {did}")
-
-    def _fields(self, given: dict[str, str]) -> dict[str, Any]:
-        size = self.executor.actuators
-        fields: dict[str, Any] = {}
-        for name, word in given.items():
-            if name in ("mode", "reason"):
-                fields[name] = word
-            elif name in ("locks", "epoch"):
-                fields[name] = int(word)
-            elif name == "moving":
-                fields[name] = word == "yes"
-            elif word in NAMED:
-                fields[name] = self.desk.packed(*NAMED[word])
-            elif word.startswith("all"):  # "all-11": all but those of a binary number
-                fields[name] = pack(((1 << size) - 1) & ~int(word[4:] or "0", 2), size)
-            else:
-                fields[name] = pack(int(word, 2), size)
-        return fields
-
     def _goal(self, words: list[str]) -> tuple[list[str], dict[str, Any]]:
         fields: dict[str, Any] = {}
         names = [word for word in words if word in NAMED or (word.isdigit() and len(word) == 4)]
@@ -232,20 +160,35 @@ class Play:
         return {"waypoints": [{"t": step * k, **where} for k, where in enumerate(at)]}
 
     def _discs(self, words: list[str]) -> list[tuple[list[float], float]]:
-        return [
-            (FAR, float(radius)) if at == "far" else (self.desk.tip(*NAMED[at]), float(radius))
-            for at, radius in zip(words[::2], words[1::2], strict=True)
-        ]
+        return [(self._place(at), float(radius)) for at, radius in zip(words[::2], words[1::2], strict=True)]
+
+    def _place(self, name: str) -> list[float]:
+        return FAR if name == "far" else self.desk.tip(*NAMED[name])
+
+    def packed(self, name: str) -> bytes:
+        return self.desk.packed(*NAMED[name])
 
     # --- what is said
 
     def _said(self) -> list[str]:
         told = list[str]()
+        self.commanded = False
         while self.desk.said:  # the answer to a message may have the core say more
             key, what = self.desk.said.pop(0)
             self.payload = self.payload if key == "executor" else what
-            told.append(self._told(key, what))
+            if isinstance(what, Setpoint):
+                text = self._command(what)
+                if text == self._followed and self.setpoint.stream == what.stream:
+                    text = ""  # a command is repeated all the time
+                self.setpoint, self.commanded, self._followed = what, True, text or self._followed
+            else:
+                text = self._told(key, what)
+            told += [text] if text else []
         return told
+
+    def _command(self, message: Setpoint) -> str:
+        words = "follow" if message.stages else "hold"
+        return f"{words}{' strict' if message.strict else ''}{message.reason.removeprefix('following a setpoint')}"
 
     def _told(self, key: str, what: Any) -> str:
         if key == "executor":
@@ -310,30 +253,3 @@ class Play:
             if name in FACTS:
                 found = str(FACTS[name](self))
                 assert matches(found, value), f"{name}: {found}"
-
-
-def codes(play: Play) -> str:
-    return " ".join(fault["code"] for fault in play.desk.state()["faults"]) or "none"
-
-
-FACTS: dict[str, Callable[[Play], Any]] = {
-    "mode": lambda play: play.desk.state()["mode"],
-    "reason": lambda play: play.desk.state()["reason"],
-    "faults": codes,
-    "degraded": lambda play: " ".join(f"{it['actuator']} {it['state']}" for it in play.desk.state()["degraded"]),
-    "homing": lambda play: " ".join(play.desk.state()["homing"]),
-    "scene": lambda play: play.desk.state()["obstacles"],
-    "entries": lambda play: " ".join(kind for kind, _ in play.desk.entries),
-    "epoch": lambda play: play.program.epoch,
-    "name": lambda play: play.program.name,
-    "start": lambda play: f"{unpack(play.program.start):b}",
-    "homed": lambda play: f"{unpack(play.program.homed):b}" if play.program.homed else "none",
-    "until": lambda play: f"{play.program.until - play.began:g}",
-    "last": lambda play: f"{unpack(play.program.stages[-1].states):b}",
-    "first": lambda play: play.replaced.first,
-    "failures": lambda play: len(play.desk.failures),
-    "log": lambda play: "\n".join(play.desk.logs),
-    "closed": lambda play: "yes" if play.desk.core.ended else "no",
-    "hurried": lambda play: len(set(play.desk.hurried)),
-    "payload": lambda play: json.dumps(play.payload),
-}

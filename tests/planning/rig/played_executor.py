@@ -1,14 +1,17 @@
-"""An executor that the test plays: it says what an executor says, and the test decides when."""
+"""An executor that the test plays: it says what an executor says, and the test decides when. What clients hear."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
+from hyperbit.controller.planning.core.events import FromExecutor
 from hyperbit.controller.program import (
+    VERSION,
     Accepted,
     Answer,
     Begun,
@@ -20,10 +23,14 @@ from hyperbit.controller.program import (
     Settled,
     Snapshot,
     Up,
+    Welcome,
     pack,
 )
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refused
+
+if TYPE_CHECKING:
+    from tests.planning.rig.desk import Desk
 
 T = TypeVar("T", bound=Down)
 
@@ -120,3 +127,53 @@ class PlayedExecutor(ABC):
         self.send(ended)
         self.show(mode="ready", reason=f"holding; {program.name} ended", program=-1)
         return ended
+
+
+class DeskExecutor(PlayedExecutor):
+    """The executor of a desk.
+
+    Attributes:
+        messages: of the planner, but keep-alives and counts.
+    """
+
+    def __init__(self, desk: Desk, actuators: int) -> None:
+        self._desk, self.messages = desk, deque[Down]()
+        super().__init__(actuators)
+
+    def greet(self, greatest: int = 0) -> None:
+        self.send(
+            Welcome(VERSION, "small", "d" * 64, self.instance, (0,) * self.actuators, greatest, self._desk.simulation)
+        )
+        self.show()
+
+    def now(self) -> float:
+        return self._desk.now
+
+    def send(self, message: Up) -> None:
+        self._desk.post(FromExecutor(message))
+
+    def take(self) -> Down | None:
+        return self.messages.popleft() if self.messages else None
+
+    def waiting(self) -> deque[Down]:
+        return self.messages
+
+
+class Inbox:
+    def __init__(self, said: list[tuple[str, Any]]) -> None:
+        self.payloads = deque[tuple[str, dict[str, Any]]]()
+        self._said = said
+
+    def put(self, key: str, payload: Any) -> None:
+        self.payloads.append((key, dict(payload)))
+        self._said.append((key, dict(payload)))
+
+    def next(self, key: str) -> dict[str, Any]:
+        assert self.payloads, f"no {key} came"
+        came, payload = self.payloads.popleft()
+        assert came == key, f"{came} {payload} came where {key} was expected"
+        return payload
+
+    @property
+    def empty(self) -> bool:
+        return not self.payloads
