@@ -163,7 +163,7 @@ class World(StruckWorld):
         """Runs the next event, and judges it."""
         self.agenda.step()
         self.record.doubt(self.intended)
-        self.account.steps()
+        self.account.see("steps")
 
     def _let_strangers_stop(self, may: bool) -> None:
         if self.strangers is not None:
@@ -196,7 +196,7 @@ class World(StruckWorld):
         self.account.disturbed()
 
     def be_undisturbed(self) -> None:
-        self.account.rests()
+        self.account.see("rests")
 
     @property
     def ready_within(self) -> float:
@@ -244,7 +244,7 @@ class World(StruckWorld):
         self.boards.hear(bus, sent, lost)
 
     def _from_board(self, bus: str, frame: Frame) -> None:
-        self.account.answers(bus, frame)
+        self.account.see("answers", bus, frame)
         self.buses[bus].from_board(frame)
 
     def mend(self) -> None:

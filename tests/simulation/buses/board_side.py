@@ -72,7 +72,7 @@ class BoardSide(AttachedBoards):
         ):
             extended |= (has and actuator.reads(1) ^ ("input" in inverted)) << k
             contracted |= (has_contracted and actuator.reads(0) ^ ("input_contracted" in inverted)) << k
-        self._account.reads(extended, contracted)
+        self._account.see("reads", extended, contracted)
         self._read = False
 
     def drives(self) -> int:
@@ -106,7 +106,7 @@ class BoardSide(AttachedBoards):
     def door(self, name: str, is_open: bool) -> None:
         verb = "open" if is_open else "close"
         super().fault(verb, name)
-        self._account.fault(verb, name)
+        self._account.see("fault", verb, name)
         (self.opened.add if is_open else self.opened.discard)(name)
         self._record.doors(bool(self.opened))
 
@@ -121,7 +121,7 @@ class BoardSide(AttachedBoards):
         deaf = self.deaf_to(bus, frame)
         missing = sum(mask for name, mask in boards.items() if lost or name == deaf or not self.takes_part(name))
         self._record.arrives(bus, frame, missing)
-        self._account.leaves(bus, frame, missing)
+        self._account.see("leaves", bus, frame, missing)
         if not lost:
             self.receive(bus, frame, _words(frame), sent.belongs_to)
 
@@ -136,7 +136,7 @@ class BoardSide(AttachedBoards):
             self._record.lying |= 1 << self.simulated.labels.index(name)
         elif verb == "restore_sensor":
             self._record.lying &= ~(1 << self.simulated.labels.index(name))
-        self._account.fault(verb, name)
+        self._account.see("fault", verb, name)
         super().fault(verb, name, *numbers)
         self._read = True  # of an end-stop that reads otherwise since the fault
         self.see("fault")
@@ -184,11 +184,11 @@ class BoardSide(AttachedBoards):
         for bus, mask in self._masks.items():
             if changed & mask:
                 self._record.switch(Switch(changed & mask, after, cause, bus, sync))
-                self._account.switches(Switch(changed & mask, after, cause, bus, sync))
+                self._account.see("switches", Switch(changed & mask, after, cause, bus, sync))
             coils_of_bus = Energised(came & mask, on & mask, came & mask & ~changed, cause, bus, sync)
             self._record.energise(coils_of_bus)
             if came & mask or (on ^ was_on) & mask:
-                self._account.energises(coils_of_bus)
+                self._account.see("energises", coils_of_bus)
 
 
 def _words(frame: Frame) -> str:

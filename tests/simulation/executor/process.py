@@ -104,7 +104,7 @@ class ExecutorProcess:
         self._next_tick = self._agenda.now
         self._ticked = self._rests = False
         self._started_at = self._agenda.now
-        self._witness.started()
+        self._witness.see("started")
         for name, bus in self._buses.items():
             self.post(BusChanged(name, bus.state, "", None))
         self._tick_later(self.instances)
@@ -137,7 +137,7 @@ class ExecutorProcess:
             self.core = None
             self._actions_left = None
             self._clients.clear()
-            self._witness.killed()
+            self._witness.see("killed")
             self._dies()
             self._agenda.after(self._random.choice([0.05, 0.2, 1.0]), self.start)
 
@@ -149,7 +149,7 @@ class ExecutorProcess:
     def quit_again(self) -> None:
         """Asks a process that ends in order to end at once."""
         if self._quitting and self.awake and not self._events:
-            self._witness.hurries()
+            self._witness.see("hurries")
             self._finish()
 
     def at_next_start(self, happen: Callable[[], None]) -> None:
@@ -241,7 +241,7 @@ class ExecutorProcess:
 
     def _step(self, event: Event) -> None:
         assert self.core is not None
-        self._witness.told(event)
+        self._witness.see("told", event)
         written = self.journal.number
         actions = self.core.step(event, self._agenda.now)
         self.core.check()
@@ -269,14 +269,14 @@ class ExecutorProcess:
         self._tearable = False
         match action:
             case SendFrame(bus, frame):
-                why = self._buses[bus].send_frame(frame, self._witness.sends(bus, frame))
+                why = self._buses[bus].send_frame(frame, self._witness.see("sends", bus, frame))
                 if why is not None:
                     self._events.appendleft(SendFailed(bus, frame, why))
             case ToClient(client, message):
                 if message is not self._last:
                     self._last = message
-                    self._witness.says(message)
-                self._witness.tells(client, message)
+                    self._witness.see("says", message)
+                self._witness.see("tells", client, message)
                 self._to_client(client, message)
                 if isinstance(message, Goodbye) and self._habits is not None:  # the server closes the connection
                     self._clients.discard(client)
@@ -284,6 +284,6 @@ class ExecutorProcess:
             case ToSimulation() if self._habits is not None:
                 self.post(self._habits.play(action))
             case Log(level, text):
-                self._witness.logs(level, text)
+                self._witness.see("logs", level, text)
             case Notify(text):
-                self._witness.notifies(text)
+                self._witness.see("notifies", text)

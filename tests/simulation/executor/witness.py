@@ -1,45 +1,26 @@
-"""Who sees what the executor's process takes and does."""
+"""Who sees what the executor's process takes and does: a fact of a kind calls the method of this name, if there is one.
+
+started(), killed(): a process has started; it has ended.
+hurries(): before a process that ends in order is asked to end at once.
+told(event): before an event is handled.
+sends(bus, frame): before a frame is handed out; returns what belongs to the frame.
+says(message), tells(client, message): before a message is sent, once for all its clients, and for each client.
+logs(level, text), notifies(text): a line of the log; a message for systemd.
+"""
 
 from __future__ import annotations
 
-from hyperbit.controller.executor.core.events import ClientId, Event
-from hyperbit.controller.program import Up
-from hyperbit.drivers.canopen.wire.cia301 import Frame
+from typing import Any
 
 
 class Witness:
-    """Sees what an executor takes and does; by default it sees nothing."""
-
-    def started(self) -> None:
-        """Is called after the start of a process."""
-
-    def killed(self) -> None:
-        """Is called after the end of a process."""
-
-    def hurries(self) -> None:
-        """Is called before a process that ends in order is asked to end at once."""
-
-    def told(self, event: Event) -> None:
-        """Is called before an event is handled."""
-
-    def sends(self, bus: str, frame: Frame) -> object:
-        """Called before a frame is handed out; returns what belongs to it."""
-
-    def says(self, message: Up) -> None:
-        """Is called before a message is sent, once for all its clients."""
-
-    def tells(self, client: ClientId, message: Up) -> None:
-        """Is called before a message to a client is sent, for each client."""
-
-    def logs(self, level: int, text: str) -> None:
-        """Is called with each line of the log."""
-
-    def notifies(self, text: str) -> None:
-        """Is called with each message for systemd."""
+    def see(self, kind: str, *facts: Any) -> Any:
+        take = getattr(type(self), kind, None)
+        return None if take is None else take(self, *facts)
 
 
-class Witnesses(Witness):
-    """Several witnesses."""
+class Witnesses:
+    """Several witnesses. The first that knows tells what belongs to a frame."""
 
     def __init__(self, *witnesses: Witness) -> None:
         self._witnesses = list(witnesses)
@@ -47,38 +28,6 @@ class Witnesses(Witness):
     def add(self, witness: Witness) -> None:
         self._witnesses.append(witness)
 
-    def started(self) -> None:
-        for witness in self._witnesses:
-            witness.started()
-
-    def killed(self) -> None:
-        for witness in self._witnesses:
-            witness.killed()
-
-    def hurries(self) -> None:
-        for witness in self._witnesses:
-            witness.hurries()
-
-    def told(self, event: Event) -> None:
-        for witness in self._witnesses:
-            witness.told(event)
-
-    def sends(self, bus: str, frame: Frame) -> object:
-        told = [witness.sends(bus, frame) for witness in self._witnesses]
+    def see(self, kind: str, *facts: Any) -> Any:
+        told = [witness.see(kind, *facts) for witness in self._witnesses]
         return next((one for one in told if one is not None), None)
-
-    def says(self, message: Up) -> None:
-        for witness in self._witnesses:
-            witness.says(message)
-
-    def tells(self, client: ClientId, message: Up) -> None:
-        for witness in self._witnesses:
-            witness.tells(client, message)
-
-    def logs(self, level: int, text: str) -> None:
-        for witness in self._witnesses:
-            witness.logs(level, text)
-
-    def notifies(self, text: str) -> None:
-        for witness in self._witnesses:
-            witness.notifies(text)

@@ -99,9 +99,10 @@ class Account(Witness):
     def judge(self, every: Iterable[Statement]) -> None:
         self.statements = Statements(every)
 
-    def see(self, kind: str, *facts: Any) -> None:
-        """Shows a fact of a kind to the statements that look at it."""
+    def see(self, kind: str, *facts: Any) -> Any:
+        """Shows a fact of a kind to the statements that look at it, then takes it."""
         self.statements.see(kind, facts)
+        return super().see(kind, *facts)
 
     @property
     def now(self) -> float:
@@ -157,21 +158,15 @@ class Account(Witness):
     # --- the executor's process
 
     def started(self) -> None:
-        self.see("started")
         self.instance += 1
         self.instance_at = self.now
         self._begin()
 
     def killed(self) -> None:
-        self.see("killed")
         self._begin()
-
-    def hurries(self) -> None:
-        self.see("hurries")
 
     def told(self, event: Event) -> None:
         self.order += 1
-        self.see("told", event)
         match event:
             case FromClient(client, message):
                 self.message: Any = message
@@ -227,7 +222,6 @@ class Account(Witness):
         self.followed = []
 
     def says(self, message: Up) -> None:
-        self.see("says", message)
         match message:
             case Accepted() if isinstance(self.message, Program):
                 self.running, self.questioned = Motion(self.message, self.order, message.begin), False
@@ -263,7 +257,6 @@ class Account(Witness):
                 pass
 
     def tells(self, client: ClientId, message: Up) -> None:
-        self.see("tells", client, message)
         lock = self.message
         if isinstance(message, Answer) and message.accepted and isinstance(lock, Lock) and client == self.planner:
             bit, on = 1 << lock.actuator, -1 if lock.state > 0 else 0
@@ -274,16 +267,9 @@ class Account(Witness):
             if self.roles[client] == "planner":
                 self.planner = client
 
-    def logs(self, level: int, text: str) -> None:
-        self.see("logs", level, text)
-
-    def notifies(self, text: str) -> None:
-        self.see("notifies", text)
-
     # --- buses and boards
 
     def sends(self, bus: str, frame: Frame) -> object:
-        self.see("sends", bus, frame)
         if frame.id & 0x780 in RPDOS:
             asked = [(motion, motion.due(self.now)) for motion in self.wanted]
             number = None if self.running is None else self.running.number
@@ -300,32 +286,23 @@ class Account(Witness):
 
     def leaves(self, bus: str, frame: Frame, missing: int) -> None:
         """A frame of the executor is on the bus; the boards of a mask of actuators miss it."""
-        self.see("leaves", bus, frame, missing)
         if missing and (frame.id == cia301.SYNC or frame.id & 0x780 in RPDOS):
             self.pins.missed |= missing
 
-    def answers(self, bus: str, frame: Frame) -> None:
-        """A board sends a frame."""
-        self.see("answers", bus, frame)
-
     def switches(self, switch: Switch) -> None:
         """Actuators of one bus are driven to other ends."""
-        self.see("switches", switch)
         self.pins.switch(switch)
 
     def energises(self, coils: Energised) -> None:
         """Coils of one bus came on or went off."""
-        self.see("energises", coils)
         self.pins.energise(coils)
 
     def reads(self, extended: int, contracted: int) -> None:
         """The end-stops of these masks read 1."""
-        self.see("reads", extended, contracted)
         self.pins.read(extended, contracted)
 
     def fault(self, verb: str, name: str) -> None:
         """Something breaks at the boards, or is mended."""
-        self.see("fault", verb, name)
         if verb == "open":
             self.doors.open(self.now)
         elif verb == "close" and self.world.boards.opened <= {name}:
@@ -333,12 +310,8 @@ class Account(Witness):
 
     # --- the world
 
-    def steps(self) -> None:
-        self.see("steps")
-
     def rests(self) -> None:
         """All trouble has ended, and the arm is at rest: from now on nothing disturbs the world."""
-        self.see("rests")
         self.clear_since = self.now
 
     def disturbed(self) -> None:
