@@ -125,7 +125,7 @@ def test_the_deviation_is_an_outline(trouble: Trouble, driver: object) -> None:
     box = shown.run("return document.querySelector('.stage').getBoundingClientRect().toJSON()")
     inside = shown.run(pixel, round(0.62 * box["width"]), round(0.22 * box["height"]))
     assert inside[3] == 0, "the region within the outline is not covered"
-    shown.says(".legend", "greatest deviation on the way", "unit of the arm's file")
+    shown.says(".legend", "greatest deviation on the way", "lengths in m")
 
 
 def test_locks_of_one_kind_stand_together_with_one_advice(trouble: Trouble, driver: object) -> None:

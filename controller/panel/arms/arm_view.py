@@ -23,8 +23,19 @@ log = logging.getLogger(__name__)
 ASK_AGAIN = 2.0  # [s] after an arm did not answer
 SILENT = 5.0  # [s] without a state, after which an arm without liveliness token counts as gone
 SHOWN = (  # fields of the payload of `arm` for the page
-    *("name", "version", "dimension", "length", "base", "actuators", "states", "tolerance", "travel_time", "rest_time"),
-    *("inrush", "method", "on_stop", "on_loss", "obstacles", "sent_obstacles", "body_radius", "limits", "daemon"),
+    *("name", "version", "dimension", "unit", "length", "base", "actuators", "states", "tolerance", "travel_time"),
+    *(
+        "rest_time",
+        "inrush",
+        "method",
+        "on_stop",
+        "on_loss",
+        "obstacles",
+        "sent_obstacles",
+        "body_radius",
+        "limits",
+        "daemon",
+    ),
     *("poses", "simulated", "simulation"),
 )
 
