@@ -67,7 +67,7 @@ class Ending:
 
 
 class Requests:
-    """The services `stop`, `cancel`, `reset` and `plan`, and the topics `goal_pose`, `goal_path` and `setpoint`.
+    """The services `stop`, `cancel`, `reset` and `plan`, and the topics that the node hears.
 
     `goals` cancel goals of topics that the daemon may run. `oriented`: whether the orientation of goals counts.
     """
@@ -87,6 +87,7 @@ class Requests:
         node.subscriber("goal_pose", "geometry_msgs/msg/PoseStamped", self._later("goal_pose", self._pose_goal))
         node.subscriber("goal_path", "nav_msgs/msg/Path", self._later("goal_path", self._path_goal))
         node.subscriber("setpoint", "geometry_msgs/msg/PoseStamped", self._setpoint)
+        node.subscriber("measured_tip", "geometry_msgs/msg/PoseStamped", self._measured_tip)
 
     def close(self) -> None:
         """Sends waiting stops and cancels, and waits for their answers."""
@@ -218,3 +219,13 @@ class Requests:
                 self._client.put("setpoint", json.dumps(payload).encode())
         except (zenoh.ZError, Withdrawn) as error:
             self._say(WARN, f"a set-point is not sent: {error}")
+
+    def _measured_tip(self, received: Received) -> None:
+        """Forwards the position of a measured tip, which moves nothing; a stamp of 0 counts as now."""
+        message = received.message
+        try:
+            point = waypoint(message, self._place, "measured_tip", oriented=False)
+            stamp = seconds(message.header.stamp) or self._computer.time()
+            self._client.put("measured_tip", json.dumps({**point, "stamp": stamp}).encode())
+        except (BadGoal, zenoh.ZError) as error:
+            self._say(WARN, f"a measured tip is not sent: {error}")

@@ -1,12 +1,15 @@
 """What once did harm: answers, results, states and descriptions of another form, ids of others, floods."""
 
 import pytest
+import zenoh
 
 from hyperbit.controller.ros2.arm_node import MOST_LETTERS
 from hyperbit.controller.ros2.wire.action_events import Status
+from hyperbit.controller.ros2.wire.cdr import serialize
 from tests import told
 from tests.ros2.rig import ID, Rig, trajectory_goal
-from tests.ros2.world.inputs import ACTUATORS
+from tests.ros2.world.inputs import ACTUATORS, ATTACHMENT, TYPES
+from tests.ros2.world.network import Sample
 from tests.ros2.world.world import entries
 
 END = {"id": ID, "status": "succeeded", "code": 0, "message": "reached"}
@@ -64,3 +67,20 @@ def test_what_fits_no_goal_of_a_topic_is_told(rig: Rig) -> None:
     assert "a set-point is refused: setpoint.pose.position.x: inf" in rig.network.said[-1]
     rig.call("goal_pose", header={"frame_id": "map"})
     assert "frame_id: 'map', expected 'world' or 'planar16/0'" in rig.network.said[-1]
+
+
+def test_a_measured_tip_reaches_the_daemon_in_the_unit_of_its_file(rig: Rig) -> None:
+    rig.hear("arm", told.described(unit="mm"))
+    for number, stamp in ((0.4, {}), (float("nan"), {}), (0.5, {"sec": 1_500_000_000})):
+        fields = {"header": {"stamp": stamp}, "pose": {"position": {"x": number, "y": 2.9}}}
+        data = zenoh.ZBytes(serialize(fields, "geometry_msgs/msg/PoseStamped", TYPES))
+        rig.network.handlers["measured_tip"](Sample(data, zenoh.ZBytes(ATTACHMENT)))
+    assert [it["position"] for it in rig.measured] == [pytest.approx([400.0, 2900.0]), pytest.approx([500.0, 2900.0])]
+    assert [it["stamp"] for it in rig.measured] == [pytest.approx(rig.clock.time()), 1.5e9]
+    assert "a measured tip is not sent: measured_tip.pose.position.x: nan" in rig.network.said[-1]
+
+
+def test_an_arm_without_a_unit_counts_as_metres_and_says_so(rig: Rig) -> None:
+    assert not any("names no unit" in it for it in rig.network.said)
+    rig.hear("arm", told.described(unit=None))
+    assert sum("the arm's file names no unit: its lengths count as metres" in it for it in rig.network.said) == 1

@@ -57,7 +57,9 @@ def test_the_node_and_its_endpoints_are_on_the_network(system: System) -> None:
     found = {(it.kind, it.endpoint.name) for it in tokens if it.endpoint}
     published = ("/flat/joint_states", "/flat/tip_pose", "/tf", "/tf_static", "/diagnostics", "/rosout")
     assert found >= {(Kind.PUBLISHER, name) for name in (*published, "/flat/robot_description")}
-    assert found >= {(Kind.SUBSCRIBER, f"/flat/{name}") for name in ("goal_pose", "goal_path", "setpoint")}
+    assert found >= {
+        (Kind.SUBSCRIBER, f"/flat/{name}") for name in ("goal_pose", "goal_path", "setpoint", "measured_tip")
+    }
     assert found >= {(Kind.SERVICE, f"/flat/{name}") for name in ("stop", "reset", "cancel", "plan")}
     for action in ("tip_controller", "actuator_controller"):
         base = f"/flat/{action}/follow_joint_trajectory/_action"

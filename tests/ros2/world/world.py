@@ -49,6 +49,7 @@ class World(logging.Handler):
 
     Attributes:
         counts: of inputs, replies and kills.
+        measured: tips that the bridge has forwarded.
         largest: greatest number of entries in all tables of the bridge.
 
     Args:
@@ -68,6 +69,7 @@ class World(logging.Handler):
         chance = None if seed is None else self.chance
         self.daemon = Daemon(chance, self.clock, lambda key, data: self._told.append((key, data, True)))
         self.counts: Counter[str] = Counter()
+        self.measured = list[dict[str, Any]]()
         self.largest, self.faulty, self.kill_at_reply = 0, False, False
         self._crowded_until, self._failure = -math.inf, ""
         self._book, self._settings = folder / "goals.json", Settings("", 0, "jazzy", "world", oriented)
@@ -125,7 +127,11 @@ class World(logging.Handler):
         return answer
 
     def put(self, key: str, payload: bytes) -> None:
-        self.judge.receive_setpoint(json.loads(payload, parse_constant=lambda text: math.nan))
+        value = json.loads(payload, parse_constant=lambda text: math.nan)
+        if key == "measured_tip":  # moves nothing
+            self.measured.append(value)
+        else:
+            self.judge.receive_setpoint(value)
 
     # The words of scenarios.
 
