@@ -89,14 +89,17 @@ def tags_of(kind: Any) -> tuple[str, list[object]] | None:
     return str(tagged[0].tag_field), [config.tag for config in tagged]
 
 
-def hint_of(value: object, kind: Any) -> str:
-    """Returns what to write in place of a value that does not suit a type, e.g. "; write 0.1 (seconds)"; else ""."""
+def hint_of(value: object, kind: Any, *, in_file: bool = False) -> str:
+    """Returns what to write in place of a value that does not suit a type, e.g. "; write 0.1 (seconds)"; else "".
+
+    `in_file`: the value is of an arm's file, which may name the unit of its lengths.
+    """
     unit = description_of(kind)
     in_unit = f"; {unit}" if unit else ""
     if unit == RADIANS and isinstance(value, int | float):
         return degrees_hint(value)
     if isinstance(value, str) and takes(kind, int, float):
-        return number_hint(value, unit) or in_unit
+        return number_hint(value, unit, in_file=in_file) or in_unit
     if isinstance(value, int | float) and takes(kind, str):
         return "; write it in quotes"
     if isinstance(value, list) and get_origin(kind) is dict:
@@ -131,10 +134,10 @@ def degrees_hint(value: float) -> str:
     return f"; in radians, {value:g} degrees are {math.radians(value):.4g}"
 
 
-def number_hint(text: str, expected: str = "") -> str:
+def number_hint(text: str, expected: str = "", *, in_file: bool = False) -> str:
     """Returns what to write in place of a number that is given as text; "" if the text is no number.
 
-    `expected` is the unit of its field, such as SECONDS; "" if it has none or is not known.
+    `expected` is the unit of its field, such as SECONDS, "" if it has none. `in_file`: see hint_of.
     """
     if (comma := DECIMAL_COMMA.fullmatch(text.strip())) is not None:
         decimal = f"{comma[1]}.{comma[2]}"
@@ -145,9 +148,10 @@ def number_hint(text: str, expected: str = "") -> str:
     if match is None:
         return ""
     value, unit = float(match[1]), match[2]
-    if unit in LENGTHS and expected == LENGTH:
+    if unit in LENGTHS and expected == LENGTH and in_file:
         return "; write a number without a unit, or name the unit of all lengths, as in unit: mm"
-    if expected and (unit in LENGTHS or (unit in UNITS and expected != f"in {UNITS[unit][1]}")):
+    meant = LENGTH if unit in LENGTHS else f"in {UNITS[unit][1]}" if unit in UNITS else expected
+    if expected not in ("", meant):
         return f"; this number is {expected}"
     if unit in LENGTHS:
         return "; write a number without a unit: all lengths of a file have the same one"

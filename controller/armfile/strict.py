@@ -90,7 +90,7 @@ def validated(value: Any, kind: Any, path: str, faults: list[str], units: Factor
         number = value_in(value, known)
         value = value if number is None else number
     if len(faults) == before:
-        _scalar(value, kind, path, faults)
+        _scalar(value, kind, path, faults, in_file=bool(units))
     return value
 
 
@@ -109,8 +109,8 @@ def _struct(value: dict[str, Any], kind: type[Struct], path: str, faults: list[s
     return {**value, **own}
 
 
-def _scalar(value: Any, kind: Any, path: str, faults: list[str]) -> None:
-    """Appends the fault of a value whose parts are right, or that has none."""
+def _scalar(value: Any, kind: Any, path: str, faults: list[str], *, in_file: bool) -> None:
+    """Appends the fault of a value whose parts are right, or that has none; `in_file`: of a file that has units."""
     if isinstance(value, float) and not math.isfinite(value):
         faults.append(f"{path}: {value} is not a finite number")
         return
@@ -123,7 +123,7 @@ def _scalar(value: Any, kind: Any, path: str, faults: list[str]) -> None:
     except msgspec.ValidationError as error:
         text, _, inner = str(error).partition(" - at `$")
         inner = inner.rstrip("`") if inner else ""
-        hint = "" if inner else hint_of(value, kind)
+        hint = "" if inner else hint_of(value, kind, in_file=in_file)
         if not inner and (form := description_of(kind)) and " matching regex " in text:
             text, hint = f"{text.partition(' matching')[0]} of {form}", ""
         faults.append(f"{(path + inner).lstrip('.') or 'file'}: {text} (given: {shown(value)}){hint}")

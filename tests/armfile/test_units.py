@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hyperbit.controller.arm.arm import load
-from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.armfile.settings import RoundSettings
+from hyperbit.controller.armfile.strict import InputFaults, check
 from hyperbit.controller.armfile.units import MILLIMETRES, NAMES, factors, metres_of, unit_name, value_in
 
 JOINT = "{type: revolute, angles: [-30 deg, 0.5], link: {position: [0, 10 cm]}}"
@@ -92,3 +93,12 @@ def test_a_unit_changes_no_number_of_the_arm(tmp_path: Path) -> None:
     del plain["unit"]
     with_unit = load(written(tmp_path, FILE)).manipulator.frames
     assert load(written(tmp_path, yaml.safe_dump(plain))).manipulator.frames == pytest.approx(with_unit)
+
+
+def test_a_number_with_a_unit_is_refused_outside_of_files() -> None:
+    told: list[str] = []
+    assert check({"centre": ["20 mm", 0], "radius": 1}, RoundSettings, told) is None
+    assert told == [
+        "centre[0]: Expected `float`, got `str` (given: '20 mm'); write a number without a unit: all lengths of a file"
+        " have the same one"
+    ]

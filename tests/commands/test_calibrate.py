@@ -79,3 +79,23 @@ def test_faults_of_samples_are_unusable_input(hyperbit, files, tmp_path):
         few.write_text(text)
         code, out, err = hyperbit("calibrate", arm, str(few), "--json")
         assert (code, out, sentence in err) == (2, "", True), err
+
+
+@pytest.mark.parametrize("files", ["groups"], indirect=True)
+def test_the_base_or_a_part_alone_is_fitted(hyperbit, files, tmp_path):
+    arm, samples = files
+    code, out, _ = hyperbit("calibrate", arm, samples, "--base-only", "--json")
+    assert {change["field"].split(".")[0] for change in json.loads(out)["changes"]} == {"base"}
+    new = str(tmp_path / "new.yaml")
+    code, out, err = hyperbit("calibrate", arm, samples, "--fit", "modules[1].modules[3]", "--out", new)
+    assert (code, err) == (0, "")
+    assert "modules[1].modules[3].width" in out
+    assert "modules[1].modules[1]" not in out
+    before, after = (yaml.safe_load(Path(name).read_text())["modules"][0] for name in (arm, new))
+    assert (after["type"], after["count"]) == ("group", 3)
+    assert [before["modules"][k]["type"] == after["modules"][k]["type"] for k in range(3)] == [True] * 3
+    assert after["modules"][0]["cylinders"] == before["modules"][0]["cylinders"]
+    code, _, err = hyperbit("calibrate", arm, samples, "--fit", "links")
+    assert (code, "'links' has no numbers to fit; parts are base, modules[1].modules[1]" in err) == (2, True)
+    code, _, err = hyperbit("calibrate", arm, samples, "--base-only", "--fit", "tip")
+    assert (code, "it fits the base alone: leave --fit out" in err) == (2, True)

@@ -68,6 +68,8 @@ def calibrate(
     measured = read_samples(samples, arm.manipulator)
     if out is not None and out.exists() and not force:
         raise InputFaults(out, ["the file exists; name another file, or add --force"])
+    if out is not None and arm.settings.wiring is not None and out.parent.resolve() != file.parent.resolve():
+        raise InputFaults(out, [f"the new file needs {arm.settings.wiring} beside it, as {file} does: name one there"])
     if out is not None:
         check_output(out)
     try:
