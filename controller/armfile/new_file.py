@@ -204,6 +204,9 @@ def bus_lines(answers: Answers, rows: Sequence[Mapping[str, Any]]) -> list[str]:
     if answers.island:
         nodes = dict.fromkeys(row["node"] for row in rows)
         lines += ["  nodes:", *(f"    - {{bus: {bus}, node: {node}, island: true}}" for node in nodes)]
+        supply = f"{{bus: {bus}, node: {answers.first_node}, object: 0x2102, sub: 0, bit: 0}}"
+        lines += ["", "# A bit that is 1 while the valves have their supply, as the manual of the island names it:"]
+        lines += [f"#interlocks: {{supply: {supply}}}"]
     return lines
 
 
