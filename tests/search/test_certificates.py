@@ -1,4 +1,4 @@
-"""Certificates against brute force, with tips exactly on the tolerance or one float beside it."""
+"""Certificates against brute force, in random worlds with tips on their tolerance and bodies that touch obstacles."""
 
 from __future__ import annotations
 
@@ -7,58 +7,50 @@ from functools import cache
 import numpy as np
 import pytest
 
-from hyperbit.controller.manipulator.frames import Frame, planar, spatial, turned
-from hyperbit.controller.manipulator.joints import prismatic, revolute
-from hyperbit.controller.manipulator.locked import lock_actuators
+from hyperbit.controller.manipulator.frames import turned
+from hyperbit.controller.manipulator.joints import prismatic
 from hyperbit.controller.manipulator.manipulator import Manipulator
-from hyperbit.controller.manipulator.module import Module, transforms
-from hyperbit.controller.obstacles.clearance import BodyClearance
-from hyperbit.controller.obstacles.obstacles import NONE, Obstacles, box, sphere
+from hyperbit.controller.search.branch_and_bound import BranchAndBound
 from hyperbit.controller.search.lists.two_list import ListSizes
-from hyperbit.controller.search.solution import Solution
+from hyperbit.controller.search.method import switch_costs
+from hyperbit.controller.search.solution import Incumbent, Solution
 from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace import cost_to_go
+from hyperbit.controller.workspace.hull import build_hull
 from hyperbit.controller.workspace.mapping import map_densities
-from tests.arms import every_configuration, paper_arm, spatial_arm
+from tests.arms import paper_arm, spatial_arm
+from tests.search.worlds import (
+    Goal,
+    X,
+    drawn_arm,
+    drawn_clearance,
+    drawn_goal,
+    drawn_weights,
+    least_cost,
+    solver_of,
+    with_locks,
+)
 
-QUARTERS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
-X, Y, Z = np.eye(3)
-
-
-def solver_of(
-    arm: Manipulator,
-    weights: np.ndarray | None = None,
-    clearance: BodyClearance | None = None,
-    sizes: ListSizes = ListSizes(),
-) -> Solver:
-    densities = map_densities(arm, arm.length / 20 + 1e-6, 2000)
-    return Solver(arm, densities, weights, clearance, list_whole=False, list_sizes=sizes)
-
-
-def least_cost(solver: Solver, goal: np.ndarray, previous: np.ndarray, tolerance: float, turn: float) -> float:
-    """Returns the least cost of the configurations within the tolerances, by brute force; infinite if there is none.
-
-    Only tips within a larger tolerance are compared exactly, because a description takes 0.1 ms.
-    """
-    every, target = every_configuration(solver.manipulator), solver.target(goal, tolerance, turn)
-    away = np.linalg.norm(solver.manipulator.tips(every)[:, :3, 3] - target.goal[:3, 3], axis=1)
-    each = [solver.described(c, target, previous) for c in every[away <= tolerance + 1e-6]]
-    return min((s.cost for s in each if s.within_tolerance), default=np.inf)
+FOREVER = 1e9  # [s]
+SHORT = [  # lists so short that proofs need all stages: layers, look-ups, and a second band
+    ListSizes(near, wide, 2 * wide, quarter, layer, at_once=3)
+    for near, wide, quarter, layer in ((2, 6, 3, 1), (6, 40, 1000, 1), (12, 30, 8, 100))
+]
 
 
-def check(
-    solver: Solver, goal: np.ndarray, previous: np.ndarray, tolerance: float, turn: float = np.inf, whole: bool = True
-) -> Solution:
+def check(solver: Solver, goal: Goal, previous: np.ndarray, whole: bool = True) -> Solution:
     """Solves a goal and compares the certificate with brute force over all configurations.
 
     With `whole` the lists hold every configuration, so that the answer is proven.
     """
-    found = solver.solve(solver.target(goal, tolerance, turn), previous, timeout=60.0)
-    least = least_cost(solver, goal, previous, tolerance, turn)
+    found = solver.solve(solver.target(*goal), previous, timeout=60.0)
+    least = least_cost(solver, goal, previous)
     if found.certificate == "optimal":
         assert found.within_tolerance
         assert found.cost == pytest.approx(least, rel=1e-9)
+        assert found.lower_bound == pytest.approx(found.cost)
     elif found.certificate == "unreachable":
-        assert least == np.inf
+        assert (least, found.lower_bound) == (np.inf, np.inf)
         assert not found.within_tolerance
     else:
         assert not whole
@@ -67,168 +59,41 @@ def check(
     return found
 
 
-def test_a_tip_exactly_on_the_tolerance_counts_for_the_certificate_as_for_the_answer():
-    arm = Manipulator([prismatic(X, (0.25, 0.5), np.eye(4))] * 2)
-    found = check(solver_of(arm), np.array((0.5, 0.0)), np.array((1, 1)), 0.25)
-    assert (found.switches, found.error, found.certificate) == (1, 0.25, "optimal")
-
-
-# Modules of lattice arms: planar and spatial, sliding and turning by quarters.
-def planar_lattice(rng: np.random.Generator) -> Module:
-    step = float(rng.choice((0.25, 0.5, 1.0)))
-    if rng.random() < 0.5:
-        return prismatic((X, Y)[rng.integers(2)], (0.0, step), np.eye(4))
-    return revolute(Z, rng.choice(QUARTERS, rng.integers(2, 5), replace=False), planar(step, 0.0))
-
-
-def spatial_lattice(rng: np.random.Generator) -> Module:
-    step, axes = float(rng.choice((0.25, 0.5, 1.0))), (X, Y, Z)
-    if rng.random() < 0.5:
-        return prismatic(axes[rng.integers(3)], (0.0, step), np.eye(4))
-    angles = rng.choice(QUARTERS, rng.integers(2, 4), replace=False)
-    return revolute(axes[rng.integers(3)], angles, spatial(step * axes[rng.integers(3)]))
-
-
-def lattice_arm(rng: np.random.Generator) -> Manipulator:
-    kind = (planar_lattice, spatial_lattice)[rng.integers(2)]
-    modules: list[Module] = []
-    while not modules or np.prod([len(m.frames) for m in modules]) < 100:
-        modules.append(kind(rng))
-    return Manipulator(modules)
-
-
-def any_module(rng: np.random.Generator, space: bool) -> Module:
-    count = rng.integers(2, 5)
-    if space:
-        return transforms([spatial(rng.normal(0, 0.3, 3), rng.normal(size=4)) for _ in range(count)], planar=False)
-    return transforms([planar(*rng.normal(0, 0.3, 2), rng.uniform(-2, 2)) for _ in range(count)], planar=True)
-
-
-def any_arm(rng: np.random.Generator) -> Manipulator:
-    kind = rng.integers(4)
-    if kind == 0:
-        return paper_arm(3)
-    if kind == 1:
-        return spatial_arm(3)
-    modules: list[Module] = []
-    while not modules or np.prod([len(m.frames) for m in modules]) < 100:
-        modules.append(any_module(rng, kind == 2 or (kind == 3 and rng.random() < 0.3)))
-    return Manipulator(modules)
-
-
-def on_the_shell(arm: Manipulator, rng: np.random.Generator, base: float) -> tuple[np.ndarray, float]:
-    """A position, and its distance from the tip of a configuration in floating point, or one float beside it."""
-    tip = arm.tip(rng.integers(0, arm.states))[: arm.dimension, 3]
-    goal = tip.copy()
-    goal[rng.integers(arm.dimension)] += base * rng.choice((-1.0, 1.0))
-    away = np.linalg.norm(goal - tip) if rng.random() < 0.5 else base
-    return goal, float(np.nextafter(away, away + rng.integers(-1, 2)))
-
-
-@pytest.mark.parametrize("seed", range(60))
-def test_lattice_arms_on_the_shell_and_one_float_beside_it(seed):
+@pytest.mark.parametrize("seed", range(300))
+def test_no_certificate_is_false(seed: int) -> None:
+    """Each second world has short lists."""
     rng = np.random.default_rng(seed)
-    arm = lattice_arm(rng)
-    solver = solver_of(arm)
+    whole = drawn_arm(rng, space=seed % 4 > 1)
+    arm = with_locks(whole, rng) if rng.random() < 0.3 else whole
+    short = seed % 2 == 1
+    sizes = SHORT[seed // 4 % 3] if short else ListSizes()
+    solver = solver_of(arm, drawn_weights(arm, rng), drawn_clearance(arm, rng), sizes)
+    for posed in (False, False, False, True):
+        check(solver, drawn_goal(whole, rng, posed), rng.integers(0, arm.states), whole=not short)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_branch_and_bound_alone_proves_each_pose(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cost_to_go, "PREFIXES", (1.0, 30.0)[seed // 2 % 2])  # maps from the first level on, or later
+    rng = np.random.default_rng(seed)
+    whole = drawn_arm(rng, space=False)
+    arm = with_locks(whole, rng) if seed % 4 == 0 else whole
+    solver = solver_of(arm, drawn_weights(arm, rng), drawn_clearance(arm, rng))
     for _ in range(4):
-        goal, tolerance = on_the_shell(arm, rng, float(rng.choice((0.25, 0.5))))
-        check(solver, goal, rng.integers(0, arm.states), tolerance)
+        goal, previous = drawn_goal(whole, rng, posed=True), rng.integers(0, arm.states)
+        target, incumbent = solver.target(*goal), Incumbent(previous, FOREVER)
+        tree = BranchAndBound(arm, build_hull(arm))
+        tree.run(target, previous, switch_costs(arm, previous, solver.weights), incumbent, FOREVER)
+        least = least_cost(solver, goal, previous)
+        assert incumbent.proven
+        assert incumbent.cost == pytest.approx(least, rel=1e-9)
+        assert least == np.inf or solver.described(incumbent.configuration, target, previous).within_tolerance
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_random_arms_on_the_shell(seed):
-    rng = np.random.default_rng(seed)
-    arm = any_arm(rng)
-    solver = solver_of(arm)
-    for _ in range(3):
-        goal, tolerance = on_the_shell(arm, rng, float(10.0 ** rng.uniform(-8, -0.5)))
-        check(solver, goal, rng.integers(0, arm.states), tolerance)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_weights_whose_sums_tie_but_for_rounding(seed):
-    rng = np.random.default_rng(seed)
-    arm = (lattice_arm, any_arm)[seed % 2](rng)
-    solver = solver_of(arm, rng.choice((0.1, 0.2, 0.3, 0.6, 0.7), len(arm.actuators)))
-    for _ in range(3):
-        goal, tolerance = on_the_shell(arm, rng, 0.25)
-        check(solver, goal, rng.integers(0, arm.states), tolerance)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_locked_actuators(seed):
-    rng = np.random.default_rng(seed)
-    whole = (lattice_arm, any_arm)[seed % 2](rng)
-    held = np.where(rng.random(len(whole.actuators)) < 0.2, whole.actuator_states(rng.integers(0, whole.states)), -1)
-    try:
-        arm = lock_actuators(whole, held.astype(np.int8))
-    except ValueError:
-        pytest.skip("a module has no such state")
-    solver = solver_of(arm)
-    for _ in range(3):
-        goal, tolerance = on_the_shell(whole, rng, 0.25)
-        check(solver, goal, rng.integers(0, arm.states), tolerance)
-
-
-# Short lists, so that proofs need all stages: layers, look-ups, and a second band.
-SIZES = [
-    ListSizes(near, wide, 2 * wide, quarter, layer, at_once=3)
-    for near, wide, quarter, layer in ((2, 6, 3, 1), (6, 40, 1000, 1), (12, 30, 8, 100))
-]
-
-
-@pytest.mark.parametrize("seed", range(15))
-@pytest.mark.parametrize("sizes", SIZES, ids=str)
-def test_what_short_lists_leave_out_is_streamed_or_not_claimed(seed: int, sizes: ListSizes) -> None:
-    rng = np.random.default_rng(seed)
-    arm = (lattice_arm, any_arm)[seed % 2](rng)
-    weights = rng.choice((1.0, 1.5, 0.1, 0.3), len(arm.actuators)) if seed % 3 else None
-    clearance = BodyClearance(arm, obstacle(arm, rng), 0.01) if seed % 5 == 0 else None
-    solver = solver_of(arm, weights, clearance, sizes)
-    for turn in (np.inf, np.inf, np.pi / 2, 1e-9):
-        goal, tolerance = on_the_shell(arm, rng, 0.25)
-        asked = goal if turn == np.inf else arm.tip(rng.integers(0, arm.states))
-        check(solver, asked, rng.integers(0, arm.states), tolerance, turn, whole=False)
-
-
-def obstacle(arm: Manipulator, rng: np.random.Generator) -> Obstacles:
-    tip = arm.tip(rng.integers(0, arm.states))[:3, 3]
-    if rng.random() < 0.5:
-        return sphere("ball", tip + rng.choice((0.0, 0.25, 0.5), 3) * (1, 1, not arm.planar), 0.25)
-    size = np.full(arm.dimension, 0.5)
-    return box("block", (tip + 0.5)[: arm.dimension], size)
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_obstacles_touched_exactly(seed):
-    """Some bodies are exactly one radius away from an obstacle."""
-    rng = np.random.default_rng(seed)
-    arm = (lattice_arm, any_arm)[seed % 2](rng)
-    crossing = bool(rng.random() < 0.3)
-    obstacles = NONE if crossing else obstacle(arm, rng)
-    solver = solver_of(
-        arm, clearance=BodyClearance(arm, obstacles, float(rng.choice((0.0, 0.25))), self_collision=crossing)
-    )
-    for _ in range(3):
-        goal, tolerance = on_the_shell(arm, rng, 0.25)
-        check(solver, goal, rng.integers(0, arm.states), tolerance)
-
-
-def pose_on_the_shell(arm: Manipulator, rng: np.random.Generator, angle: float) -> tuple[Frame, float, float]:
-    goal = arm.tip(rng.integers(0, arm.states)) @ turned(Z if arm.planar else rng.normal(size=3), angle)
-    away = float(rng.choice((0.25, 1e-9)))
-    goal[0, 3] += away * rng.integers(0, 2)
-    return goal, float(np.nextafter(away, away + rng.integers(-1, 2))), float(np.nextafter(angle, rng.integers(0, 5)))
-
-
-@pytest.mark.parametrize("seed", range(40))
-def test_orientations_on_their_tolerance(seed):
-    rng = np.random.default_rng(seed)
-    arm = (lattice_arm, any_arm)[seed % 2](rng)
-    solver = solver_of(arm)
-    for angle in (np.pi / 2, 1e-9, float(rng.uniform(0.01, 3.0)), 3.141592):
-        goal, tolerance, turn = pose_on_the_shell(arm, rng, angle)
-        check(solver, goal, rng.integers(0, arm.states), tolerance, turn)
+def test_a_tip_exactly_on_the_tolerance_counts_for_the_certificate_as_for_the_answer() -> None:
+    arm = Manipulator([prismatic(X, (0.25, 0.5), np.eye(4))] * 2)
+    found = check(solver_of(arm), (np.array((0.5, 0.0)), 0.25, np.inf), np.array((1, 1)))
+    assert (found.switches, found.error, found.certificate) == (1, 0.25, "optimal")
 
 
 @cache

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperbit.controller.manipulator.locked import lock_actuators, transferred
+from hyperbit.controller.manipulator.locked import lock_actuators
 from hyperbit.controller.motion.plans.label_setting import LabelSetting
 from hyperbit.controller.motion.plans.points import TrajectoryPoints
 from hyperbit.controller.motion.trajectory import through
@@ -16,31 +16,7 @@ from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm
 from tests.manipulator.test_locked import locked_arms
-from tests.search.test_minimum_switch import brute_force, solver_of
-
-
-@settings(max_examples=60)
-@given(locked_arms(), st.integers(0, 2**32 - 1), st.floats(1e-3, 0.5))
-def test_brute_force_agrees_and_what_is_held_stays(case, seed, tolerance):
-    arm, locked = case
-    reduced = lock_actuators(arm, locked)
-    if np.prod(reduced.states.astype(float)) > 5000:
-        return
-    rng = np.random.default_rng(seed)
-    weights = rng.uniform(0.5, 2.0, len(arm.actuators))
-    previous = rng.integers(0, reduced.states)
-    goal = arm.tip(rng.integers(0, arm.states))[:3, 3] + rng.normal(0, tolerance, 3) * (1, 1, not arm.planar)
-    solver = solver_of(reduced, weights)
-    found = solver.solve(solver.target(goal[: reduced.dimension], tolerance), previous, timeout=10.0)
-    narrow, wide = brute_force(reduced, goal, previous, tolerance, weights)
-    states = arm.actuator_states(transferred(found.configuration, reduced, arm))
-    assert np.array_equal(states[locked >= 0], locked[locked >= 0])
-    if found.within_tolerance:
-        assert wide - 1e-9 <= found.cost <= narrow + 1e-9
-        assert found.optimal
-    else:
-        assert narrow == np.inf
-        assert found.lower_bound == np.inf
+from tests.search.worlds import solver_of
 
 
 @settings(max_examples=40)

@@ -16,46 +16,8 @@ from hyperbit.controller.search.lists.segment import Sets, build_segment, motion
 from hyperbit.controller.search.lists.two_list import middle
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
-from tests.arms import every_configuration, modules, paper_arm, short_arms, spatial_arm
-
-SURE = 1e-7  # a tip nearer to the tolerance than this may count as within or not
-
-
-def solver_of(arm: Manipulator, weights: np.ndarray | None = None) -> Solver:
-    return Solver(arm, map_densities(arm, arm.length / 40 + 1e-6, 4000), weights, list_whole=False)
-
-
-def costs_of(arm: Manipulator, previous: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    own = arm.actuator_states(previous)
-    return np.array([((arm.actuator_states(c) != own) * weights).sum() for c in every_configuration(arm)])
-
-
-def brute_force(arm, goal, previous, tolerance, weights) -> tuple[float, float]:
-    """The least cost within a slightly smaller and a slightly larger tolerance; infinite if there is none."""
-    away = np.linalg.norm(arm.tips(every_configuration(arm))[:, :3, 3] - goal, axis=1)
-    costs = costs_of(arm, previous, weights)
-    return tuple(float(costs[away <= tolerance + slack].min(initial=np.inf)) for slack in (-SURE, SURE))
-
-
-@settings(max_examples=60)
-@given(short_arms(most=4), st.integers(0, 2**32 - 1), st.floats(1e-3, 0.5), st.booleans())
-def test_brute_force_agrees(arm, seed, tolerance, weighted):
-    if np.prod(arm.states.astype(float)) > 5000:
-        return
-    rng = np.random.default_rng(seed)
-    weights = rng.uniform(0.5, 2.0, len(arm.actuators)) if weighted else np.ones(len(arm.actuators))
-    previous = rng.integers(0, arm.states)
-    goal = arm.tip(rng.integers(0, arm.states))[:3, 3] + rng.normal(0, tolerance, 3) * (1, 1, not arm.planar)
-    solver = solver_of(arm, weights)
-    found = solver.solve(solver.target(goal[: arm.dimension], tolerance), previous, timeout=10.0)
-    narrow, wide = brute_force(arm, goal, previous, tolerance, weights)
-    if found.within_tolerance:
-        assert wide - 1e-9 <= found.cost <= narrow + 1e-9
-        assert found.optimal
-        assert found.lower_bound == pytest.approx(found.cost)
-    else:
-        assert narrow == np.inf
-        assert found.lower_bound == np.inf
+from tests.arms import every_configuration, modules, paper_arm, spatial_arm
+from tests.search.worlds import solver_of
 
 
 def all_tips(arm: Manipulator) -> np.ndarray:

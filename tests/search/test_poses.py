@@ -19,14 +19,8 @@ from hyperbit.controller.search.solution import Incumbent
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.search.target import SearchTarget
 from hyperbit.controller.workspace.mapping import map_densities
-from tests.arms import every_configuration, paper_arm, planar_frames, short_arms, spatial_arm
-
-SURE = 1e-7  # a tip nearer to a tolerance than this may count as within or not
-bases = planar_frames | st.just(np.eye(4))
-
-
-def solver_of(arm: Manipulator, weights: np.ndarray | None = None) -> Solver:
-    return Solver(arm, map_densities(arm, arm.length / 40 + 1e-6, 4000), weights, list_whole=False)
+from tests.arms import paper_arm, spatial_arm
+from tests.search.worlds import solver_of
 
 
 def missed(arm: Manipulator, configurations: np.ndarray, goal: Frame) -> tuple[np.ndarray, np.ndarray]:
@@ -41,31 +35,6 @@ def near(arm: Manipulator, rng: np.random.Generator, tolerance: float, turn: flo
     goal = arm.tip(rng.integers(0, arm.states)) @ turned(axis, turn * rng.uniform(-1.2, 1.2))
     goal[:3, 3] += rng.normal(0, tolerance / 2, 3) * (1, 1, not arm.planar)
     return goal
-
-
-@settings(max_examples=100)
-@given(short_arms(bases=bases), st.integers(0, 2**32 - 1), st.floats(1e-3, 0.5), st.floats(1e-3, 4.0), st.booleans())
-def test_brute_force_agrees(arm, seed, tolerance, turn, weighted):
-    rng = np.random.default_rng(seed)
-    weights = rng.uniform(0.5, 2.0, len(arm.actuators)) if weighted else np.ones(len(arm.actuators))
-    previous = rng.integers(0, arm.states)
-    goal = near(arm, rng, tolerance, turn)
-    solver = solver_of(arm, weights)
-    found = solver.solve(solver.target(goal, tolerance, turn), previous, timeout=10.0)
-    every = every_configuration(arm)
-    away, angles = missed(arm, every, goal)
-    own = arm.actuator_states(previous)
-    costs = np.array([((arm.actuator_states(c) != own) * weights).sum() for c in every])
-    narrow, wide = (
-        costs[(away <= tolerance + slack) & (angles <= turn + slack)].min(initial=np.inf) for slack in (-SURE, SURE)
-    )
-    if found.within_tolerance:
-        assert wide - 1e-9 <= found.cost <= narrow + 1e-9
-        assert found.lower_bound == pytest.approx(found.cost)
-    else:
-        assert narrow == np.inf
-        assert found.lower_bound == np.inf
-    assert found.within_tolerance == (found.error <= tolerance and found.angle <= turn)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -88,22 +57,6 @@ def test_every_method_comes_to_poses_of_the_papers_arm(arm, densities, method):
         found = solver.solve(solver.target(goal, 0.005, 0.03), previous, method, SearchTime(0.05, unfound=10.0))
         assert found.within_tolerance
         previous = found.configuration
-
-
-@given(st.integers(0, 2**32 - 1), st.floats(0.01, 1.0))
-@settings(max_examples=30)
-def test_candidates_are_the_cheapest_within_both_tolerances(seed, turn):
-    rng = np.random.default_rng(seed)
-    arm = (paper_arm(4), spatial_arm(4))[seed % 2]
-    previous, goal = rng.integers(0, arm.states), near(arm, rng, 0.05, turn)
-    solver = solver_of(arm)
-    configurations, costs, _ = solver.candidates(solver.target(goal, 0.05, turn), previous, 8)
-    every = every_configuration(arm)
-    away, angles = missed(arm, every, goal)
-    switches = np.array([arm.switches(c, previous) for c in every])
-    good = np.sort(switches[(away <= 0.05) & (angles <= turn)])[:8]
-    assert sorted(costs.tolist()) == good.tolist()
-    assert [arm.switches(c, previous) for c in configurations] == costs.tolist()
 
 
 def test_long_arms_keep_both_tolerances_and_claim_no_false_bound(arm, densities):
