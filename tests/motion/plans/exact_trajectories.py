@@ -77,6 +77,8 @@ def least_cost(case: Case) -> float:
         served = np.linalg.norm(tips[:, : m.dimension, 3] - trajectory.positions[k], axis=1) <= trajectory.tolerances[k]
         if trajectory.turns[k] < np.inf:
             served[served] = [angle_between(tip, frame) <= trajectory.turns[k] for tip in tips[served]]
+        if k in trajectory.fixed:
+            served = (every == m.configuration(trajectory.fixed[k])).all(axis=1)
         rows = every[served]
         if not len(rows):
             return float(np.inf)

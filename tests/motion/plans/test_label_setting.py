@@ -1,5 +1,6 @@
 """Whole trajectories: the optimum compared with brute force on small arms, and valid bounds."""
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
@@ -8,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperbit.controller.manipulator.frame_kernels import angle_between
 from hyperbit.controller.manipulator.joints import prismatic
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.motion.plans import label_setting
@@ -17,55 +17,43 @@ from hyperbit.controller.motion.plans.points import TrajectoryPoints
 from hyperbit.controller.motion.plans.transitions import TransitionPlanner
 from hyperbit.controller.motion.plans.whole import plan_whole
 from hyperbit.controller.motion.trajectory import Trajectory, through
-from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.neighbours import counts
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, short_arms, spatial_arm
-from tests.motion.plans.exact_trajectories import least_cost, random_case
-from tests.obstacles.dense import Disc, obstacles_of
+from tests.motion.plans.exact_trajectories import Case, least_cost, random_case
 
 POINTS = np.array([(0.3, 2.6), (0.2, 2.5)])
 LONG = 3600.0  # [s], far more than small arms take on any machine; a proof ends the search before
 
 
-def brute_force(solver: Solver, trajectory: Trajectory, start: np.ndarray, clear: np.ndarray | None = None) -> float:
-    """Returns the least cost by dynamic programming over all configurations; infinite if there is no sequence."""
-    m, every = solver.manipulator, every_configuration(solver.manipulator)
-    tips, costs = m.tips(every), solver.cost(every, start)
-    steps = np.array([solver.cost(every, row) for row in every])
-    for k in range(len(trajectory.times)):
-        frame = np.eye(4)
-        frame[: m.dimension, 3], frame[:3, :3] = trajectory.positions[k], trajectory.rotations[k]
-        served = np.linalg.norm(tips[:, : m.dimension, 3] - trajectory.positions[k], axis=1) <= trajectory.tolerances[k]
-        if trajectory.turns[k] < np.inf:
-            served &= np.array([angle_between(tip, frame) <= trajectory.turns[k] for tip in tips])
-        if k in trajectory.fixed:
-            served = (every == m.configuration(trajectory.fixed[k])).all(axis=1)
-        if clear is not None:
-            served &= clear
-        costs = costs if k == 0 else (costs[None] + steps).min(axis=1)
-        costs = np.where(served, costs, np.inf)
-    return float(costs.min())
+def search_of(case: Case, stop: Callable[[], bool] = lambda: False, **more: int) -> LabelSetting:
+    return LabelSetting(case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, stop, **more)
 
 
-def check(solver: Solver, trajectory: Trajectory, start: np.ndarray, clear: np.ndarray | None = None) -> None:
+def check(case: Case, **more: int) -> None:
     """Checks that the search proves the optimum, and that its earlier bounds are valid."""
-    least = brute_force(solver, trajectory, start, clear)
-    search = LabelSetting(solver, list(TrajectoryPoints(solver, trajectory)), start)
+    solver, trajectory, start, _ = case
+    least = least_cost(case)
+    search = search_of(case, **more)
     assert search.best.bound <= least + 1e-9
     found = search.run(LONG)
     assert search.optimal
     assert found.cost == pytest.approx(least, rel=1e-9)
     assert found.bound == pytest.approx(least, rel=1e-9)
-    assert found.configurations is not None
+    if least == np.inf:
+        return
     rows = np.vstack([start, found.configurations])
     assert sum(solver.cost(a, b) for a, b in pairwise(rows)) == pytest.approx(found.cost)
     for k, row in enumerate(found.configurations):
         if k not in trajectory.fixed:
             tolerance, turn = float(trajectory.tolerances[k]), float(trajectory.turns[k])
             assert solver.described(row, solver.target(trajectory.goal(k), tolerance, turn), row).within_tolerance
+
+
+def whole_case(solver: Solver, trajectory: Trajectory, start: np.ndarray) -> Case:
+    return Case(solver, trajectory, start, every_configuration(solver.manipulator))
 
 
 @pytest.mark.timeout(600)
@@ -80,7 +68,7 @@ def test_the_optimum_of_small_arms_is_found_and_proven(arm, seed, weighted):
     noise = rng.normal(size=(5, arm.dimension)) * 0.01
     turns = np.where(rng.random(5) < 0.3, 0.3, np.inf)
     trajectory = through(np.arange(5.0), tips[:, : arm.dimension, 3] + noise, 0.1, None, tips[:, :3, :3], turns)
-    check(solver, trajectory, path[0])
+    check(whole_case(solver, trajectory, path[0]))
 
 
 @pytest.mark.parametrize("goal", [0.4, 0.6, 0.7, 0.8, 0.9, 1.0])
@@ -88,7 +76,8 @@ def test_cheaper_tips_one_float_beyond_the_tolerance_do_not_keep_the_optimum_fro
     """Some tips are 0.30000000000000004 away from 0.4, 0.8, 0.9 and 1.0."""
     arm = Manipulator([prismatic((1, 0, 0), (0.0, 0.1), np.eye(4))] * 8)
     solver = Solver(arm, map_densities(arm, 0.05, 1 << 12), list_whole=False)
-    check(solver, through(np.arange(2.0), np.array([(0.2, 0.0), (goal, 0.0)]), 0.3), np.zeros(8, dtype=np.int64))
+    trajectory = through(np.arange(2.0), np.array([(0.2, 0.0), (goal, 0.0)]), 0.3)
+    check(whole_case(solver, trajectory, np.zeros(8, dtype=np.int64)))
 
 
 @pytest.mark.parametrize("arm", [paper_arm(3), spatial_arm(3)], ids=["planar", "spatial"])
@@ -97,7 +86,7 @@ def test_arms_that_hold_a_configuration_for_several_points(arm):
     solver = Solver(arm, map_densities(arm, 0.05, 1 << 16), list_whole=False)
     ends = arm.tips([rng.integers(0, arm.states) for _ in range(2)])[:, : arm.dimension, 3]
     points = ends[0] + np.linspace(0, 1, 12)[:, None] * (ends[1] - ends[0])
-    check(solver, through(np.arange(12.0), points, 0.15), np.zeros(3, dtype=np.int64))
+    check(whole_case(solver, through(np.arange(12.0), points, 0.15), np.zeros(3, dtype=np.int64)))
 
 
 def test_points_that_are_configurations_are_kept():
@@ -108,27 +97,7 @@ def test_points_that_are_configurations_are_kept():
     given_states = {1: arm.actuator_states(path[1]), 3: arm.actuator_states(path[3])}
     plain = through(np.arange(4.0), positions, 0.02)
     trajectory = Trajectory(**{**vars(plain), "fixed": given_states})
-    check(solver, trajectory, path[0])
-
-
-def test_configurations_keep_clear_of_obstacles():
-    arm = paper_arm(4)
-    every = every_configuration(arm)
-    clearance = BodyClearance(arm, obstacles_of([Disc((0.1, 0.75), 0.1)]), 0.01)
-    clear = ~clearance.blocked(every)
-    solver = Solver(arm, map_densities(arm, 0.05, 1 << 16), None, clearance, list_whole=False)
-    rng = np.random.default_rng(3)
-    path = every[rng.choice(np.flatnonzero(clear), 2)]
-    trajectory = through(np.arange(2.0), arm.tips(path)[:, :2, 3], 0.02)
-    least = brute_force_pair(solver, trajectory, path[0], every, clear)
-    found = LabelSetting(solver, list(TrajectoryPoints(solver, trajectory)), path[0]).run(LONG)
-    assert (found.cost, found.bound) == (least, least)
-
-
-def brute_force_pair(solver, trajectory, start, every, clear) -> float:
-    tips = solver.manipulator.tips(every)[:, :2, 3]
-    near = [clear & (np.linalg.norm(tips - p, axis=1) <= 0.02) for p in trajectory.positions]
-    return min(float(solver.cost(a, start) + solver.cost(every[near[1]], a).min()) for a in every[near[0]])
+    check(whole_case(solver, trajectory, path[0]))
 
 
 def test_without_time_nothing_wrong_is_claimed(arm, densities):
@@ -140,15 +109,9 @@ def test_without_time_nothing_wrong_is_claimed(arm, densities):
     assert found.bound == 3.0
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_no_bound_is_above_and_no_plan_below_the_truth(seed):
-    case = random_case(seed, 1 << 13)
-    least = least_cost(case)
-    search = LabelSetting(case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, threads=2)
-    found = search.run(LONG)
-    assert found.bound <= least * (1 + 1e-9)
-    assert found.cost >= least * (1 - 1e-9)
-    assert search.optimal
+@pytest.mark.parametrize("seed", range(12))
+def test_the_optimum_is_found_and_proven_with_locks_obstacles_and_orientations(seed):
+    check(random_case(seed, 1 << 13), threads=2)
 
 
 def labels_only(search: LabelSetting, stop=lambda: False) -> None:
@@ -163,7 +126,7 @@ def test_labels_alone_give_valid_bounds(seed, paired, monkeypatch):
         monkeypatch.setattr(counts, "JOINED", 0.0)
         monkeypatch.setattr(counts, "LOOKUP", 0.0)
     case = random_case(seed, 1 << 13)
-    search = LabelSetting(case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, threads=2)
+    search = search_of(case, threads=2)
     labels_only(search)
     assert search.first_bound() <= least_cost(case) * (1 + 1e-9)
 
@@ -171,9 +134,7 @@ def test_labels_alone_give_valid_bounds(seed, paired, monkeypatch):
 def test_a_cancel_while_labels_are_computed_keeps_what_is_proven():
     case = random_case(1, 1 << 13)
     calls = iter(range(10**9))
-    search = LabelSetting(
-        case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, lambda: next(calls) > 3
-    )
+    search = search_of(case, lambda: next(calls) > 3)
     labels_only(search, search._late)
     assert 0 < search.first_bound() <= least_cost(case) * (1 + 1e-9)
 
@@ -184,7 +145,7 @@ def test_what_a_cancel_raises_ends_all_threads():
     def cancel() -> bool:
         raise KeyboardInterrupt
 
-    search = LabelSetting(case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, cancel, 2)
+    search = search_of(case, cancel, threads=2)
     with pytest.raises(KeyboardInterrupt):
         search.run(LONG)
 
@@ -253,9 +214,7 @@ def test_two_proofs_at_once_prove_what_each_proves_alone():
     cases = [random_case(seed, 1 << 13) for seed in (1, 3)]
 
     def proof(case) -> tuple[float, float]:
-        found = LabelSetting(
-            case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start, threads=2
-        ).run(LONG)
+        found = search_of(case, threads=2).run(LONG)
         return found.cost, found.bound
 
     with ThreadPoolExecutor(2) as pool:
@@ -266,10 +225,7 @@ def test_two_proofs_at_once_prove_what_each_proves_alone():
 
 def test_without_memory_for_labels_what_is_proven_stays(monkeypatch):
     case = random_case(2, 1 << 13)
-    search, swept = (
-        LabelSetting(case.solver, list(TrajectoryPoints(case.solver, case.trajectory)), case.start),
-        list[bool](),
-    )
+    search, swept = search_of(case), list[bool]()
 
     def fail(*_: object) -> None:
         swept.append(True)
