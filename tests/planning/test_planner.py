@@ -10,7 +10,6 @@ import pytest
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.host.process import Quit
 from hyperbit.controller.planning.core.events import (
-    Arrival,
     CancelMessage,
     FromExecutor,
     Key,
@@ -18,8 +17,6 @@ from hyperbit.controller.planning.core.events import (
     Message,
     Reply,
     Request,
-    SetpointArrived,
-    TipArrived,
     ToExecutor,
     Unsent,
 )
@@ -71,13 +68,6 @@ def bench(small: Arm, small_densities: Densities, tmp_path: Path) -> Iterator[Be
     bench.end_in_order()
 
 
-def test_requests_are_numbered_and_answered(bench: Bench) -> None:
-    first, second = bench.request("reset", None), bench.request("cancel", CancelMessage("a"))
-    assert (first.number, first.key, first.message) == (1, "reset", None)
-    assert (second.number, second.key, second.message) == (2, "cancel", CancelMessage("a"))
-    assert second.wall >= first.wall > 1e9
-
-
 def test_stop_and_cancel_go_to_the_executor_at_once(executor: ScriptedExecutor, bench: Bench) -> None:
     bench.welcome()
     executor.expect(Hello)
@@ -95,19 +85,6 @@ def test_a_stop_that_cannot_be_sent_is_told_after_its_request(bench: Bench) -> N
     assert bench.core.expect(Unsent) == Unsent(stop.number, reason)
     cancel = bench.request("cancel", CancelMessage())
     assert bench.core.expect(Unsent) == Unsent(cancel.number, reason)
-
-
-def test_a_request_is_decoded_by_its_key(bench: Bench) -> None:
-    assert bench.planner.decoder.decode("cancel", b'{"id": "a"}') == CancelMessage("a")
-    assert bench.planner.decoder.decode("stop", b"\xff") is None
-
-
-def test_mailboxes_are_read(bench: Bench) -> None:
-    setpoint, tip = SetpointArrived(b"setpoint", Arrival(1, 0.0)), TipArrived(b"tip", Arrival(2, 0.0))
-    bench.planner.loop.setpoints.put(*setpoint)
-    assert bench.core.expect(SetpointArrived) == setpoint
-    bench.planner.loop.tips.put(*tip)
-    assert bench.core.expect(TipArrived) == tip
 
 
 def test_the_description_has_the_wanted_parts(bench: Bench) -> None:

@@ -2,45 +2,47 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable, Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Set
 from enum import Enum
 from typing import Any
 
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.statement import Statement
 
-CONTAINERS = (dict, list, set, deque)
 ROOM = 25  # elements of all containers beyond those of an arm at its first rest
-PLAIN = (int, float, str, bytes, bool, type(None), Enum, type, tuple, frozenset)
+PLAIN = (int, float, str, bytes, bool, type(None), Enum, type, tuple)
 
 
-def sizes(root: object) -> dict[str, int]:
-    """Returns the number of elements of each container that an object holds, by the attributes that lead there.
+def lengths(
+    roots: Iterable[object], walks: Callable[[object], bool], opaque: Collection[str] = ()
+) -> Iterator[tuple[str, int]]:
+    """Yields name and length of each container that objects hold; what `walks` accepts is walked, too.
 
-    Functions and what they refer to are left out. Elements of containers are walked, too.
+    Attributes of the names `opaque` are left out.
     """
-    found: dict[str, int] = {}
-    seen = {id(root)}
-    waiting: list[tuple[str, Any]] = [("", root)]
-    while waiting:
-        path, thing = waiting.pop()
-        if isinstance(thing, CONTAINERS):
-            found[path] = found.get(path, 0) + len(thing)
-        for name, part in _parts(thing):
-            if not isinstance(part, PLAIN) and not callable(part) and id(part) not in seen:
-                seen.add(id(part))
-                waiting.append((f"{path}{name}", part))
-    return found
+    seen, todo = set[int](), list(roots)
+    while todo:
+        owner = todo.pop()
+        if id(owner) in seen:
+            continue
+        seen.add(id(owner))
+        waiting = [
+            (f"{type(owner).__name__}.{name}", value) for name, value in list(vars(owner).items()) if name not in opaque
+        ]
+        while waiting:
+            name, value = waiting.pop()
+            if isinstance(value, Mapping | Set | list | deque):
+                yield name, len(value)
+                parts: Iterable[Any] = list(value.values()) if isinstance(value, Mapping) else list(value)
+                waiting += [(f"{name}[]", part) for part in parts if not isinstance(part, PLAIN)]
+            elif hasattr(value, "__dict__") and walks(value):
+                todo.append(value)
 
 
-def _parts(thing: object) -> Iterable[tuple[str, Any]]:
-    if isinstance(thing, Mapping):
-        return (("[]", value) for value in list(thing.values()))
-    if isinstance(thing, list | set | deque):
-        return (("[]", value) for value in list(thing))
-    fields = getattr(thing, "__dict__", None)
-    return () if fields is None else ((f".{name}", value) for name, value in list(fields.items()))
+def is_walked(value: object) -> bool:
+    """Returns whether an object of the executor is walked: functions and what they refer to are left out."""
+    return not isinstance(value, PLAIN) and not callable(value)
 
 
 class ContainersReturnToTheirSize(Statement):
@@ -50,13 +52,15 @@ class ContainersReturnToTheirSize(Statement):
 
     def __init__(self, account: Account) -> None:
         super().__init__(account)
-        self._instance, self._first = 0, dict[str, int]()
+        self._instance, self._first = 0, Counter[str]()
 
     def rests(self) -> None:
-        account, now = self.account, sizes(self.account.world.executor.core)
+        account, now = self.account, Counter[str]()
+        for name, length in lengths([account.world.executor.core], is_walked):
+            now[name] += length
         if account.instance != self._instance:
             self._instance, self._first = account.instance, now
         total, first = sum(now.values()), sum(self._first.values())
-        grown = {path: size for path, size in now.items() if size > self._first.get(path, 0) + 4}
+        grown = {path: size for path, size in now.items() if size > self._first[path] + 4}
         room = ROOM + len(account.owed)
         self.require(total <= first + room, f"the containers have grown from {first} to {total}: {grown}")

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterator, Mapping, Set
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from tests.simulation.statements.containers import lengths
 from tests.simulation.verdict import require
 
 if TYPE_CHECKING:
@@ -25,27 +24,9 @@ OPAQUE = ("_manipulator", "manipulator", "_arm", "_description", "_densities", "
 
 def check_containers(process: PlannerProcess) -> None:
     """Checks that no container has grown, when all requests are answered and all goals have ended."""
-    for name, length in lengths([process.core, process.server, process.outbox, process.goals, process.loop]):
+    roots = process.core, process.server, process.outbox, process.goals, process.loop
+    for name, length in lengths(roots, ours, OPAQUE):
         require(length <= HISTORIES.get(name, MOST), f"{name} has {length} entries, and nothing is asked for")
-
-
-def lengths(roots: list[Any]) -> Iterator[tuple[str, int]]:
-    """Yields the name and the length of each container that can be reached from objects of the program."""
-    seen, todo = set[int](), list(roots)
-    while todo:
-        owner = todo.pop()
-        if id(owner) in seen:
-            continue
-        seen.add(id(owner))
-        for name, value in list(getattr(owner, "__dict__", {}).items()):
-            if name in OPAQUE:
-                continue
-            if isinstance(value, Mapping | Set | list | deque):
-                yield f"{type(owner).__name__}.{name}", len(value)
-                values = list(value.values()) if isinstance(value, Mapping) else list(value)
-                todo += [entry for entry in values if ours(entry)]
-            elif ours(value):
-                todo.append(value)
 
 
 def ours(value: object) -> bool:
