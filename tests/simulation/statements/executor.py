@@ -33,6 +33,7 @@ EVERY: tuple[type[Statement], ...] = (
     running.DiagnosticsCome,
     running.NothingBeginsBesideAnOpenDoor,
     running.AnEndInOrderLeavesTheArmAtRest,
+    running.ModesFollowOneAnother,
     running.NoDefect,
     containers.ContainersReturnToTheirSize,
 )

@@ -14,6 +14,13 @@ from tests.simulation.statements.statement import Statement
 
 LOOK_EVERY = 0.005  # [s] between two looks at the buses
 DIAGNOSED = 1.3  # [s] between two diagnostics
+MODES = {  # those that may follow
+    "starting": ("ready", "fault", "stopped"),
+    "ready": ("executing", "fault", "stopped", "starting"),
+    "executing": ("ready", "fault", "stopped"),
+    "fault": ("starting", "stopped"),
+    "stopped": ("starting",),
+}
 
 
 class HeartbeatsDoNotPause(Statement):
@@ -110,6 +117,25 @@ class AnEndInOrderLeavesTheArmAtRest(Statement):
         if account.arm.contracts_at_end and not self._held:
             left = pins.states & ~account.locked & ~account.homing & ~account.pins.missed & ~account.pins.fallen
             self.require(not left or self._warned, f"the executor has ended, and {left:b} are not contracted")
+
+
+class ModesFollowOneAnother(Statement):
+    """The executor's mode changes only as its page says."""
+
+    number = 13
+
+    def __init__(self, account: Account) -> None:
+        super().__init__(account)
+        self._mode = "starting"
+
+    def started(self) -> None:
+        self._mode = "starting"
+
+    def steps(self) -> None:
+        core, before = self.account.world.executor.core, self._mode
+        if core is not None and core.modes.mode != before:
+            self._mode = core.modes.mode
+            self.require(self._mode in MODES[before], f"the mode {before} becomes {self._mode}")
 
 
 class NoDefect(Statement):
