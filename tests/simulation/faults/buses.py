@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hyperbit.drivers.canopen.wire import cia301
-from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.cia301 import Frame, State
 from hyperbit.drivers.canopen.wire.events import BusOverrun
 from tests.simulation.faults.fault import AT_ONCE, Fault, Place, Told, row
 
@@ -111,8 +111,9 @@ def another_master_sends(at: Place) -> Fault:
 
 @row("bus", anytime=True)
 def device_with_the_masters_node_id_boots(at: Place) -> Fault:
-    words = (f"a device on {at.bus.name} has node id 127", "77Fh")
-    return Fault(at.post(Frame(0x77F, b"\x00")), told=Told(("duplicate-node",), (at.bus.name,), words, AT_ONCE))
+    words = (f"a device on {at.bus.name} has node id 127", "77Fh", "hyperbit node-id")
+    state = at.random.choice([State.BOOT_UP, State.PRE_OPERATIONAL, State.STOPPED])
+    return Fault(at.post(Frame(0x77F, bytes([state]))), told=Told(("duplicate-node",), (at.bus.name,), words, AT_ONCE))
 
 
 @row("executor", anytime=True)

@@ -28,18 +28,26 @@ ALONE = ("bus", "board", "executor")
 
 
 class BoardWorld:
-    """Arms one after another, each with some boots."""
+    """Arms one after another, each with some boots.
 
-    def __init__(self, seed: int, remembered: int = 300) -> None:
+    Args:
+        only: the one fault that strikes its arms; None: all of the table.
+    """
+
+    def __init__(self, seed: int, remembered: int = 300, only: Row | None = None) -> None:
         self.random = Random(f"{seed} boards")
         self.agenda = Agenda()
         self.events: deque[tuple[float, object]] = deque(maxlen=remembered)
         self._made: Counter[str] = Counter()
-        alone = rows(*ALONE)
+        alone, left, self._rounds = rows(*ALONE), rows("left"), ROUNDS
+        if only is not None and only.strikes == "left":
+            left, self._rounds = [only], ("next executor", "use")
+        elif only is not None:
+            alone, self._rounds = [only], ("fault",)
         self._alone = Deck(alone, self.random, seed)
         self._commands = Deck(commands.ROWS, self.random, seed)
         self._beside = Deck([row for row in alone if row.anytime], self.random, seed)
-        self._left = Deck(rows("left"), self.random, seed)
+        self._left = Deck(left, self.random, seed)
         self._arrive()
 
     def run(self, steps: int) -> None:
@@ -68,7 +76,7 @@ class BoardWorld:
         arm.boot(new=True)
         for _ in range(random.choice([3, 6, 9])):
             if arm.ready:
-                self._round(random.choice(ROUNDS))
+                self._round(random.choice(self._rounds))
             elif refusals + 1 < MOST_REFUSALS:
                 refusals += 1
                 arm.repair()

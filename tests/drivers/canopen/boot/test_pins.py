@@ -5,15 +5,14 @@ A refused board stays as it was found.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 
-from hyperbit.drivers.canopen.wire.cia301 import NMT, SDO_ANSWER, Command, Frame, State
+from hyperbit.drivers.canopen.wire.cia301 import NMT, Command, Frame, State
 from hyperbit.drivers.canopen.wiring import Channel
 from hyperbit.drivers.simulation import dictionary
-from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS, StandingError, Variant
+from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS
 from tests.drivers.rig import World, one_board
 
 LEAVE_BOARD, LEAVE_ALL = (bytes([Command.PRE_OPERATIONAL, node]) for node in (5, 0))
@@ -32,18 +31,6 @@ def extended(**options: object) -> World:
 def refused(world: World) -> str:
     [fault] = world.boot()
     return fault.message
-
-
-def test_outputs_that_the_error_state_switched_off_are_written_off_and_told() -> None:
-    world = extended()
-    world.lose_master()
-    assert world.board().state is State.STOPPED
-    assert world.boot() == []
-    assert world.outputs() == 0
-    text = "can0/5: outputs may have been switched off by the board; written off before start"
-    assert [(fault.code, fault.message) for fault in world.master.warnings()] == [("outputs-off", text)]
-    assert world.boot() == []
-    assert world.warned() == []
 
 
 @pytest.mark.parametrize("inverted", [False, True])
@@ -158,15 +145,6 @@ def test_no_entry_of_the_history_keeps_outputs_on() -> None:
     assert world.outputs() == 0
 
 
-def test_outputs_are_not_written_while_the_board_is_operational() -> None:
-    world = extended()
-    world.new_master(on_loss="hold")
-    world.frames()
-    assert world.boot() == []
-    assert not [data for data in world.requests() if data[0] == "2" and data[3:8] == "00 62"]
-    assert (world.outputs(), world.measured()) == (0b11, [1, 1])
-
-
 def pins_of(world: World) -> list[int]:
     """Returns a list that takes the pins of the board, if they have changed, with each frame that it sends."""
     pins = [world.pins()]
@@ -219,72 +197,6 @@ def test_a_foreign_object_that_cannot_be_read_is_not_overwritten() -> None:
     world = World(variant=replace(variant, changes={**variant.changes, **mapped}))
     world.objects.refused[0x6411, 1] = 0x06010001
     assert refused(world).startswith("board can0/5 refuses to read 6411h sub 1")
-
-
-def values(world: World) -> dict[tuple[int, int], bytes]:
-    objects = world.objects
-    places = [(index, sub) for index, subs in objects.described.items() if index not in OF_THE_BOARD for sub in subs]
-    return {place: objects.value(*place) for place in places}
-
-
-def stops_after(world: World, answers: int) -> Callable[[str, Frame], bool]:
-    """Another program stops the board after a number of SDO answers; 0: never."""
-    heard: list[Frame] = []
-
-    def stop(bus: str, frame: Frame) -> bool:
-        if frame.id != SDO_ANSWER + 5:
-            return False
-        heard.append(frame)
-        if len(heard) == answers:
-            world.after(0.0, lambda: world.nmt(Command.STOP))
-        return False
-
-    return stop
-
-
-ERROR = replace(STANDARD, errors=(StandingError(0xFF00, 0x80),))
-DEAF = replace(VARIANTS["sync-period"], deaf=frozenset({0x1029}))
-
-
-@pytest.mark.parametrize(
-    ("variant", "words", "answers"),
-    [
-        (ERROR, "1001h sub 0 is 80h", 0),
-        (DEAF, "1029h", 0),
-        (DEAF, "1029h", 40),
-        (DEAF, "1029h", 43),
-        (DEAF, "1029h", 46),
-    ],
-)
-def test_a_refused_board_gets_its_objects_back_also_if_it_was_stopped_in_its_boot(
-    variant: Variant, words: str, answers: int
-) -> None:
-    world = World(variant=variant, on_loss="contract")
-    world.run(0.05)
-    before = values(world)
-    world.lost = stops_after(world, answers)
-    assert words in refused(world)
-    assert values(world) == before
-    assert world.board().state is State.PRE_OPERATIONAL
-
-
-def test_a_stopped_board_is_stopped_again_and_its_outputs_stay_off() -> None:
-    world = extended()
-    world.lose_master()
-    world.objects.refused[0x6005, 0] = 0x06060000
-    assert "6005h" in refused(world)
-    assert world.board().state is State.STOPPED
-    world.run(0.5)
-    assert world.positions() == [0.0, 0.0]
-
-
-def test_an_operational_board_is_operational_again_and_its_outputs_hold() -> None:
-    world = extended(on_loss="hold", variant=DEAF_1029H)
-    world.new_master(on_loss="contract")
-    before = values(world)
-    assert "1029h" in refused(world)
-    assert (world.board().state, world.positions()) == (State.OPERATIONAL, [1.0, 1.0])
-    assert values(world) == before
 
 
 def test_a_board_that_was_stopped_after_its_start_is_started_again() -> None:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 
-from hyperbit.drivers.canopen.faults import Busy
 from hyperbit.drivers.canopen.wire.cia301 import REMOTE, Frame
 from hyperbit.drivers.canopen.wire.events import BusChanged, FrameIgnored
 from hyperbit.drivers.canopen.wiring import Timing
 from hyperbit.drivers.simulation.variants import VARIANTS
-from tests.drivers.rig import World, each_node, two_boards, two_buses
+from tests.drivers.rig import World, each_node, two_boards
 
 POLL = Frame(REMOTE | 0x705)
 GUARDED = {"variant": "guarding-with-1029h", "on_loss": "contract"}
@@ -85,46 +82,6 @@ def test_error_frames_change_the_state_of_the_bus_and_frames_its_counts() -> Non
     assert after.worst_case.load > 0
     assert world.master.status().boards[0].heartbeat_age < 0.2
     assert world.faults == []
-
-
-def stick(world: World) -> None:
-    world.buses["can1"].stuck = True
-
-
-LOSSES: list[tuple[Callable[[World], None], str, str]] = [
-    (lambda world: world.buses["can1"].go_off(), "bus-off", "can1: the controller is bus-off"),
-    (lambda world: world.buses["can1"].go_down(), "bus-down", "can1: the interface is down"),
-    (stick, "bus-busy", "can1: no frame was sent for 0.2 s: is the bus full, and does another node acknowledge?"),
-]
-
-
-@pytest.mark.parametrize(("lose", "code", "text"), LOSSES, ids=lambda it: it if isinstance(it, str) else "")
-def test_a_lost_bus_loses_only_its_boards_and_sends_nothing_until_boot(
-    lose: Callable[[World], None], code: str, text: str
-) -> None:
-    world = World(two_buses()).up()
-    world.fault("silence", "can1/5")
-    lose(world)
-    assert world.until(world.told) < world.timing.heartbeat_timeout, "before its boards lose the master"
-    [fault] = world.faults
-    assert (fault.code, fault.source) == (code, "can1")
-    assert fault.message.startswith(text)
-    assert world.measured() == [0, -1]
-    world.run(0.01)
-    world.frames("can1")
-    world.run(1)
-    with pytest.raises(Busy, match="can1"):
-        world.master.commit(1, world.now)
-    assert world.frames("can1") == []
-    world.buses["can1"].restore()
-    world.fault("unsilence", "can1/5")
-    world.run(0.4)
-    assert world.master.back
-    with pytest.raises(Busy, match="booted"):
-        world.master.commit(1, world.now)
-    world.up()
-    world.commit(1, 1, then=0.1)
-    assert world.measured() == [1, 1]
 
 
 def test_heartbeats_of_a_board_show_that_a_bus_is_back() -> None:

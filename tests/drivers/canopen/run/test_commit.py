@@ -152,34 +152,6 @@ def test_a_commit_before_boot_during_another_or_of_other_lines_is_refused() -> N
         world.master.commit(2, world.now)
 
 
-def test_an_rpdo_waits_until_no_older_one_with_its_cob_id_is_pending() -> None:
-    world = World().up()
-    world.buses["can0"].stuck = True  # as a congested bus is
-    world.master.commit(0b01, world.now)
-    world.master.give_up("canceled")
-    for states in (0b10, 0b01):
-        with pytest.raises(Busy, match="an older frame 205h was not sent yet"):
-            world.master.commit(states, world.now)
-    world.buses["can0"].restore()
-    world.frames()
-    world.commit_when_possible(1, 0)
-    assert world.frames()[-2:] == [(0x205, "01"), SYNC]
-    assert world.switches() == [1, 0]
-
-
-def test_rpdos_that_do_not_leave_in_time_end_the_commit() -> None:
-    world = World().up()
-    world.buses["can0"].stuck = True
-    world.commit(1, 0)
-    assert "were not sent" in world.master.commit_failed
-    world.buses["can0"].restore()
-    world.run(0.1)
-    assert SYNC not in world.frames()
-    world.commit(0, 1)
-    assert world.frames()[-2:] == [(0x205, "02"), SYNC]
-    assert world.switches() == [0, 1]
-
-
 def test_no_sync_follows_a_stall_of_the_loop() -> None:
     world = World().up()
     world.master.commit(1, world.now)
@@ -199,19 +171,6 @@ def test_a_commit_whose_bus_is_lost_names_it() -> None:
     assert world.master.collecting
     world.buses["can1"].go_off()
     assert (world.master.commit_failed, world.master.committing) == ("can1 was lost", False)
-
-
-def test_a_sync_on_its_way_when_the_bus_is_lost_is_read_back() -> None:
-    world = World().up()
-    world.master.commit(bits(1, 0), world.now)
-    world.until(lambda: not world.master.outputs_known)  # its SYNC was handed out
-    world.buses["can0"].go_off()
-    assert "lost" in world.master.commit_failed
-    assert (world.master.committing, world.master.outputs_known) == (False, False)
-    world.run(0.1)
-    world.buses["can0"].restore()
-    world.up()
-    assert (world.master.outputs, world.switches()) == (0b01, [1, 0])
 
 
 # Lines of actuators: pairs of outputs, inverted ones, both end-stops.

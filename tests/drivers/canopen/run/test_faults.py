@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hyperbit.drivers.canopen.faults import ArmFault, Busy
+from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.sdo.errors import Errors
 from hyperbit.drivers.canopen.wire.cia301 import SDO_ANSWER, Command, Frame, State
 from hyperbit.drivers.canopen.wire.events import BusChanged, FrameEchoed
@@ -17,62 +17,6 @@ def only(world: World) -> tuple[str, str, str]:
 
 
 # Silence, of boards and of the master.
-
-
-@pytest.mark.parametrize(
-    ("variant", "words"), [("standard", "heartbeat"), ("guarding-only", "no answer to node guarding for 0.35 s")]
-)
-def test_a_silent_board_is_lost_once_and_nothing_is_sent_until_boot(variant: str, words: str) -> None:
-    world = World(variant=variant).up()
-    world.fault("silence", "can0/5")
-    assert 0.2 < world.until(world.told) < 0.6
-    world.run(2)
-    assert only(world)[:2] == ("board-lost", "can0/5")
-    assert words in only(world)[2]
-    assert (world.measured(), world.master.status().boards[0].state) == ([-1, -1], "lost")
-    world.frames()
-    with pytest.raises(Busy, match="can0/5"):
-        world.master.commit(1, world.now)
-    world.master.probe_silent(world.now)
-    world.run(1)
-    assert (world.frames(), world.master.back) == ([], False)
-    world.fault("unsilence", "can0/5")
-    if variant == "standard":
-        world.objects.set_number(0x1017, 0, 0)  # it came back with no heartbeat of its own
-        world.master.probe_silent(world.now)
-    world.run(0.2)
-    assert world.master.back
-    world.up()
-    world.commit(1, 0, then=0.1)
-    assert world.measured() == [1, 0]
-
-
-@pytest.mark.parametrize("seconds", [0.2, 0.24])
-def test_a_stall_of_the_loop_alone_loses_nobody(seconds: float) -> None:
-    world = World().up()
-    world.run(0.05)
-    world.stall(seconds)
-    world.run(0.5)
-    assert (world.faults, world.master.outputs_known) == ([], True)
-
-
-def test_a_master_that_was_halted_says_so_once_and_knows_no_states_until_boot() -> None:
-    world = World().up()
-    world.commit(1, 0, then=0.1)
-    world.stalled = True
-    world.run(0.5)
-    fault = world.master.find_pause(world.now)
-    assert (fault.code, fault.source, "0.5" in fault.message) == ("halted", "executor", True)
-    assert world.master.find_pause(world.now) is None
-    assert world.measured() == [-1, -1]
-    with pytest.raises(Busy, match="can0/5"):
-        world.master.commit(2, world.now)
-    world.stalled = False
-    world.run(0.5)
-    world.up()
-    assert world.measured() == world.switches() == [1, 0]
-    world.stall(0.5)
-    assert world.told().count("halted") == 1, "a tick reports it as well"
 
 
 @pytest.mark.parametrize(("beat_lost", "later", "halted"), [(False, -0.03, False), (True, 0.02, True)])
@@ -94,33 +38,10 @@ def test_a_pause_counts_from_the_last_heartbeat_that_was_sent(beat_lost: bool, l
 # Frames of others.
 
 
-@pytest.mark.parametrize("cob_id", [0x000, 0x080, 0x205, 0x77F])
-def test_another_master_is_told_again_after_each_boot(cob_id: int) -> None:
-    world = World().up()
-    for _ in range(2):
-        world.say(cob_id, b"\x05" * (cob_id != 0x080))
-        world.run(0.01)
-        world.up()
-    assert [(fault.code, fault.source) for fault in world.faults] == [("foreign-master", "can0")] * 2
-    assert f"{cob_id:03X}h" in world.faults[0].message
-    assert world.master.status().buses[0].ignored == 0
-
-
 def test_another_program_on_the_same_computer_is_another_master() -> None:
     world = World().up()
     world.master.receive_event(FrameEchoed("can0", Frame(0x205, b"\x00"), None), world.now)
     assert world.told() == ["foreign-master"]
-
-
-@pytest.mark.parametrize("state", [State.BOOT_UP, State.PRE_OPERATIONAL, State.STOPPED])
-def test_a_device_with_the_node_id_of_the_master_is_no_other_master(state: State) -> None:
-    world = World().up()
-    world.say(0x77F, bytes([state]))
-    world.run(0.01)
-    code, source, text = only(world)
-    assert (code, source) == ("duplicate-node", "can0")
-    assert "has node id 127" in text
-    assert "hyperbit node-id" in text
 
 
 def doubling(world: World, every: int) -> World:
@@ -156,19 +77,6 @@ def test_a_bus_that_doubles_some_frames_and_heartbeats_that_come_at_once_are_no_
     world.stall(0.2)
     world.run(3.0)
     assert world.faults == []
-
-
-def test_two_boards_that_send_heartbeats_with_one_node_id_are_noticed() -> None:
-    world = World().up()
-    period = world.timing.heartbeat
-
-    def beat() -> None:  # of another board with the same node id, half a period later
-        world.say(0x705, b"\x05")
-        world.after(period, beat)
-
-    world.after(period / 2, beat)
-    world.run(21 * period)
-    assert (world.told(), world.master.outputs_known) == (["duplicate-node"], False)
 
 
 # What boards say of themselves.

@@ -43,18 +43,6 @@ def test_an_interlock_whose_one_tpdo_is_lost_is_seen_open_within_two_seconds(nod
     assert world.faults == []
 
 
-@pytest.mark.parametrize(("overrun", "longest"), [(False, 2.0), (True, 0.1)])
-def test_an_end_stop_whose_one_tpdo_is_lost_is_noticed_and_at_once_after_an_overrun(
-    overrun: bool, longest: float
-) -> None:
-    world = closed(World([Channel("5.left", "can0", 5, 0, GATE_BIT)]), 5)
-    open_without_tpdo(world, 5)
-    if overrun:
-        world.master.receive_event(BusOverrun("can0"), world.now)
-    assert world.until(lambda: not world.master.ends) < longest
-    assert world.master.status().buses[0].overruns == overrun
-
-
 def test_end_stops_of_many_boards_take_one_hundredth_of_a_slow_bus() -> None:
     world = World(each_node(30), bitrate=125_000).up()
     world.run(1.0)

@@ -71,56 +71,6 @@ def test_a_board_that_follows_each_switch_late_is_no_fault() -> None:
     assert world.told() == []
 
 
-@pytest.mark.parametrize("end_stop", [None, 0])
-@pytest.mark.parametrize("switched_by_another", [False, True])
-def test_an_output_that_is_not_as_commanded_is_noticed_within_two_seconds(
-    end_stop: int | None, switched_by_another: bool
-) -> None:
-    world = World([Channel("5.left", "can0", 5, 0, end_stop)]).up()
-    world.commit(1, then=0.5)
-    if switched_by_another:
-        world.objects.set_number(0x6200, 1, 0)
-    else:
-        world.objects.set_number(0x1005, 0, 0x85)
-        world.commit(0)
-    assert world.until(world.told) < 2
-    assert world.told() == ["not-switched"]
-
-
-@pytest.mark.parametrize(
-    ("index", "sub", "value", "size"),
-    [(0x1005, 0, 0x85, 4), (0x1400, 2, 255, 1), (0x1016, 1, 0, 4), (0x6206, 1, 0xFF, 1), (0x1029, 1, 1, 1)],
-)
-def test_another_program_that_changes_a_board_is_noticed(index: int, sub: int, value: int, size: int) -> None:
-    world = World(BLIND).up()
-    world.objects.set_number(index, sub, value)
-    assert world.until(world.told) < 10
-    [fault] = world.faults
-    assert fault.code == "board-changed"
-    assert f"can0/5 has {value:0{2 * size}X}h in {index:04X}h sub {sub}" in fault.message
-    world.up()
-    world.run(5)
-    assert world.told() == ["board-changed"]
-
-
-EARLIER = {"": 0x09, "an old emergency": 0x05, "the end of one": 0x01}
-
-
-@pytest.mark.parametrize("earlier", EARLIER)
-def test_an_error_of_which_no_emergency_was_heard_is_noticed(earlier: str) -> None:
-    world, register = World(BLIND), EARLIER[earlier]
-    world.run(0.05)
-    if earlier == "an old emergency":
-        world.say(0x085, bytes.fromhex("2081") + bytes(6))
-    world.up()
-    if earlier == "the end of one":
-        world.say(0x085, bytes(8))
-    world.objects.set_number(0x1001, 0, register)
-    assert world.next_told() == ["board-error"]
-    assert world.faults[0].source == "can0/5"
-    assert f"1001h sub 0 is {register:02X}h" in world.faults[0].message
-
-
 @pytest.mark.parametrize(("newest", "told"), [(0x2320, ["board-error"]), (0x1B000000, []), (0x8130, [])])
 def test_a_new_error_in_the_bits_of_a_standing_one_is_noticed_by_the_history(newest: int, told: list[str]) -> None:
     """The loss of the last master stands, and is no fault."""
@@ -229,16 +179,6 @@ def test_a_coil_that_another_program_has_switched_on_leaves_the_state_unknown() 
     world.objects.set_number(0x6200, 1, 0x02)
     world.until(lambda: world.master.doubtful)
     assert world.master.drain_missed() == 0b10
-
-
-def test_pulses_that_are_over_before_they_are_read_are_missed_and_the_third_is_a_fault() -> None:
-    world = pulsed(0.02, latency=0.03)
-    for count in (1, 2, 3):
-        pulse(world, 0.02, then=1.0)
-        assert (world.master.unread, world.master.committing, world.told()) == (0b01, False, [])
-        assert (world.master.drain_missed(), world.master.status().boards[0].unverified) == (0b01, count)
-    assert world.next_told() == ["not-verified"]
-    assert "verify: false in boards.nodes" in world.faults[0].message
 
 
 def test_a_board_that_is_unplugged_in_its_third_short_pulse_is_lost_and_nobody_advises_longer_pulses() -> None:
