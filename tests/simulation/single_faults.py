@@ -34,7 +34,7 @@ WARNINGS = STANDING | {"bus-passive", "journal"}
 class SingleFaults:
     """Draws single faults, each as often as the others, and judges what the executor tells of them."""
 
-    def __init__(self, world: World, random: Random, seed: int) -> None:
+    def __init__(self, world: World, random: Random, seed: int, only: str = "") -> None:
         self._world, self._random = world, random
         drills: dict[str, Callable[[], None]] = {
             "executor ends": partial(self._end_executor, True, False),
@@ -47,7 +47,8 @@ class SingleFaults:
         }
         judged = rows("bus", "board", "executor", "actuator", "process", "left")
         judged += [Row(name, partial(_drill, drill), "drill", False, 0.0) for name, drill in drills.items()]
-        self._deck = Deck(judged, random, seed)
+        self.names = [row.name for row in judged]
+        self._deck = Deck([row for row in judged if only in ("", row.name)], random, seed)
 
     @property
     def planner(self) -> ScriptedPlanner:
@@ -67,7 +68,9 @@ class SingleFaults:
         if world.account.homing and self._random.random() < HOMED:
             self._home()
         drawn = self._deck.draw(world, alone=True)
-        assert drawn is not None
+        if drawn is None:  # the one fault cannot strike now
+            world.pass_time(KEPT)
+            return
         one, fault = drawn
         world.trouble.made[f"only: {one.name}"] += 1
         world.note(f"only fault: {one.name}")

@@ -54,9 +54,10 @@ class World(StruckWorld):
 
     Args:
         whole: whether the planner's core, its shell and clients are in the world; False: a scripted planner.
+        only: name of the one fault that strikes, alone, in a world with a scripted planner; "": all of the table.
     """
 
-    def __init__(self, seed: int, whole: bool = False, remembered: int = 300) -> None:
+    def __init__(self, seed: int, whole: bool = False, remembered: int = 300, only: str = "") -> None:
         def drawn(what: str) -> Random:
             return Random(f"{seed} {what}")
 
@@ -109,7 +110,8 @@ class World(StruckWorld):
         self.wiring, self.timing = arm.wiring, arm.timing
         self.sight = Sight(arm.wiring, arm.timing, self.boards, variants)
         self.trouble = Trouble(self, drawn("trouble"), seed)
-        self.single_faults = SingleFaults(self, drawn("single faults"), seed)
+        self.single_faults = SingleFaults(self, drawn("single faults"), seed, only)
+        self._rounds = ("one fault",) if only else ROUNDS
         self._random = drawn("periods")
         self._peaceful = whole and drawn("peace").random() < PEACEFUL
         self.executor.start()
@@ -121,7 +123,7 @@ class World(StruckWorld):
             self.calm()
             while True:
                 if self.daemon is None:
-                    self._scripted_round(self._random.choice(ROUNDS))
+                    self._scripted_round(self._random.choice(self._rounds))
                 else:
                     self._whole_round(self.daemon)
         except StepsAreOver:

@@ -48,7 +48,7 @@ class PinsHaveACause(Statement):
             heard = max(min(self._heard_at[k], self._guarded_at[k]) for k in bits_of(switch.mask))
             lost = account.now - heard >= account.arm.timing.heartbeat_timeout - ROUNDED
             self.require(lost, lambda: f"{text}, {account.now - heard:g} s after a heartbeat")
-        elif switch.cause.startswith("frame 6"):  # the boot of a board that another program took out of operational
+        elif switch.cause.startswith(("frame 6", "frame 000h")):  # the boot of a board that left operational
             off = account.mode in ("starting", "stopped") and not switch.mask & switch.after
             self.require(off, lambda: f"{text} in mode {account.mode}")
         else:
