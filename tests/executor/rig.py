@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterable, Mapping
 from random import Random
 from typing import Any, Literal, TypeVar
 
+from msgspec.structs import replace
+
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import Executor
@@ -91,6 +93,12 @@ def small_arm(
     return ExecutedArm("small", LABELS, wiring, timing, digest="d" * 64, **fields)
 
 
+def _packed(fields: dict[str, Any]) -> dict[str, Any]:
+    """Returns fields of a message; `number` is that of the program, `start` and `homed` are masks."""
+    named = {"program" if name == "number" else name: value for name, value in fields.items()}
+    return {name: pack(value, SIZE) if name in ("start", "homed") else value for name, value in named.items()}
+
+
 class Played:
     """A planner that the test plays, and what the executor tells its clients, with times."""
 
@@ -115,21 +123,9 @@ class Played:
             Stage(pack(bits, SIZE), at=step * k, mark=k, settled=step * k + TRAVEL + TICK)
             for k, bits in enumerate(states)
         )
-        given = {"number": self.programs, "epoch": self.snapshot.epoch, "start": self.states, "begin": 0.0}
-        given |= {"strict": False, "name": f"goal {self.programs}", "context": b"", "stages": stages} | fields
-        return Program(
-            program=given["number"],
-            epoch=given["epoch"],
-            start=pack(given["start"], SIZE),
-            begin=given["begin"],
-            stages=given["stages"],
-            final=final,
-            strict=given["strict"],
-            name=given["name"],
-            context=given["context"],
-            homed=pack(given["homed"], SIZE) if "homed" in given else b"",
-            until=given.get("until", 1e12),
-        )
+        start, name = pack(self.states, SIZE), f"goal {self.programs}"
+        given = Program(self.programs, self.snapshot.epoch, start, 0.0, stages, final, False, name, until=1e12)
+        return replace(given, **_packed(fields))
 
     def run(self, *states: int, **fields: Any) -> Program:
         program = self.program(*states, **fields)
@@ -137,18 +133,10 @@ class Played:
         return program
 
     def follow(self, stream: int, *stages: int, lasting: float = 0.25, **fields: Any) -> None:
-        given = {"epoch": self.snapshot.epoch, "start": self.states, "strict": False} | fields
-        self.send(
-            Setpoint(
-                stream=stream,
-                epoch=given["epoch"],
-                start=pack(given["start"], SIZE),
-                stages=tuple(pack(bits, SIZE) for bits in stages),
-                until=self.now + lasting,
-                strict=given["strict"],
-                reason="following a setpoint",
-            )
-        )
+        start, until = pack(self.states, SIZE), self.now + lasting
+        packed = tuple(pack(bits, SIZE) for bits in stages)
+        given = Setpoint(stream, self.snapshot.epoch, start, packed, until, False, "following a setpoint")
+        self.send(replace(given, **_packed(fields)))
 
     def of(self, kind: type[T], client: ClientId | None = PLANNER) -> list[T]:
         return [said for _, receiver, said in self.heard if isinstance(said, kind) and client in (None, receiver)]
