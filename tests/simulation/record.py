@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 
@@ -16,8 +15,6 @@ from tests.simulation.buses.bus_model import RPDOS
 from tests.simulation.executor.witness import Witness
 from tests.simulation.facts import Energised, Switch
 
-LATELY = 0.5  # [s], longest time from a refusal of the executor to the planner's answer
-
 
 class Record(Witness):
     """The history of a world.
@@ -30,7 +27,6 @@ class Record(Witness):
         lying: mask of the actuators with frozen end-stops or broken wires.
         fallen: mask of the actuators whose outputs changed without a SYNC, perhaps unknown to the executor.
         suspect: mask of the actuators whose boards have missed a frame since their boot.
-        open_since: time when an interlock was opened [s]; infinity if all are closed.
     """
 
     def __init__(self, arm: ExecutedArm, agenda: Agenda, note: Callable[[object], None]) -> None:
@@ -42,7 +38,6 @@ class Record(Witness):
         self.synced, self.slack = [0] * count, [0] * count
         self.suspect = self.fallen = 0
         self.lying = self._lied = 0
-        self.open_since, self._closed_at = math.inf, -math.inf
         self._mode = "starting"
         self._agenda, self._note = agenda, note
         self._message: object = None
@@ -113,15 +108,6 @@ class Record(Witness):
         if coils.again:  # the end-stop of one that did not follow its coil told the other state
             for k in range(len(self.slack)):
                 self.slack[k] += coils.again >> k & 1
-
-    def doors(self, are_open: bool) -> None:
-        if not are_open and self.open_since < math.inf:
-            self._closed_at = self._agenda.now
-        self.open_since = min(self.open_since, self._agenda.now) if are_open else math.inf
-
-    def open_lately(self) -> bool:
-        """Returns whether an interlock is open, or was a moment ago."""
-        return self.open_since < math.inf or self._agenda.now - self._closed_at < LATELY
 
     def doubt(self, intended: int) -> None:
         """Permits a difference of the counts where nobody can tell whether an intended switch took place.

@@ -108,7 +108,6 @@ class BoardSide(AttachedBoards):
         super().fault(verb, name)
         self._account.see("fault", verb, name)
         (self.opened.add if is_open else self.opened.discard)(name)
-        self._record.doors(bool(self.opened))
 
     def positions(self) -> int:
         """Returns the nearer end of each actuator, as a mask."""
