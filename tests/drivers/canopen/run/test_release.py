@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -12,7 +11,6 @@ from hyperbit.drivers.canopen.wire.cia301 import split
 from hyperbit.drivers.canopen.wiring import Channel
 from hyperbit.drivers.simulation.variants import STANDARD
 from tests.drivers.rig import World
-from tests.simulation.buses.bus_model import BusModel
 
 PULSED = [Channel(f"{node}", "can0", node, 0, None, output_off=1, pulse=0.05) for node in (1, 2)]
 PLAIN = [Channel(f"plain {node}", "can0", node, 5, None) for node in (1, 2)]
@@ -144,23 +142,6 @@ def test_frames_that_are_neither_sent_nor_lost_hold_nothing_up_for_ever() -> Non
     bus.drop()
     world.release()
     assert world.coils() == OFF
-
-
-def stick(bus: BusModel) -> None:
-    bus.stuck = True
-
-
-@pytest.mark.parametrize("lose", [BusModel.go_down, BusModel.go_off, stick])
-def test_outputs_of_a_bus_go_off_while_another_bus_is_lost_or_sends_nothing(lose: Callable[[BusModel], None]) -> None:
-    world = World([Channel(bus, bus, 1, 0, None, 1, pulse=0.05) for bus in ("can0", "can1")]).up()
-    world.master.commit(0b0011, world.now)
-    world.run(0.02)
-    lose(world.buses["can1"])
-    world.release(ticks=2)
-    assert world.coils() == [(0, 0), (1, 0)]
-    world.buses["can1"].restore()
-    world.release(ticks=3)
-    assert (world.coils(), world.master.outputs) == (OFF, 0)
 
 
 @pytest.mark.parametrize(
