@@ -191,10 +191,12 @@ class PanelServer:
         return JSONResponse({"accepted": report.complete, "message": "; ".join(parts)})
 
     def _check_may_stop(self, request: Request) -> None:
-        """Raises HTTPException unless the person of a request is an operator."""
+        """Raises HTTPException unless the person of a request may stop."""
         person = self._person(request)
-        if person is None or person.role != "operator":
-            raise HTTPException(403, "Only operators may stop an arm.")
+        if person is None or not person.may_stop:
+            raise HTTPException(
+                403, "Only operators may stop an arm, and viewers whose entry of the file of people says so."
+            )
 
     async def _enter(self, request: Request) -> Response:
         """Begins a session in exchange for a token, and sets its cookie."""
@@ -239,8 +241,8 @@ class PanelServer:
             return
         self._places.take_place(place)
         self.doors.leave(socket.scope["client"])
-        you = {"name": person.name, "role": person.role, "page": page.number, "replay": self._replay}
-        page.offer("you", encoded({"section": "you", **you}))
+        you = {"name": person.name, "role": person.role, "stop": person.may_stop}
+        page.offer("you", encoded({"section": "you", **you, "page": page.number, "replay": self._replay}))
         sender = asyncio.create_task(page.send_updates(lambda data: socket.send_text(data.decode())))
         receiver = asyncio.create_task(self._receive(socket, view, page))
         for task in (sender, receiver):

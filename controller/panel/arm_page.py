@@ -16,6 +16,7 @@ from hyperbit.controller.network.client import Unanswered
 from hyperbit.controller.panel.arms.arm_view import ArmView
 from hyperbit.controller.panel.arms.pages import Page, RateLimit
 from hyperbit.controller.panel.requests import (
+    AgainRequest,
     CancelRequest,
     ControlRequest,
     FaultRequest,
@@ -100,8 +101,9 @@ class ArmPage:
 
     def _refusal(self, request: PageRequest) -> str | None:
         """Returns why the page may not send this request, or None; the first page that commands gets control."""
-        if self._page.person.role != "operator":
-            return f"{self._page.person.name} may look, not command"
+        person = self._page.person
+        if person.role != "operator" and not (person.may_stop and isinstance(request, StopRequest)):
+            return f"{person.name} may {'look and stop' if person.may_stop else 'look'}, not command"
         if isinstance(request, FreeRequest):
             return None
         late = self._page.heartbeats.refusal(request.heartbeat)
@@ -148,8 +150,7 @@ class ArmPage:
                 named = {**goal, "id": f"{self._page.person.name}-{secrets.token_hex(3)}"}
                 answer = await self._command(request, "goal", named)
                 if answer.get("accepted"):
-                    points = goal.get("waypoints")
-                    self._view.history.goal(str(answer.get("id")), len(points) if isinstance(points, list) else None)
+                    self._view.history.sent(str(answer.get("id")), goal)
                     self._view.publish_history()
                 return answer
             case PlanRequest(goal=goal):
@@ -158,6 +159,11 @@ class ArmPage:
                 words = text, Path("file"), "goal", "waypoints", MOST_YAML
                 read = await asyncio.get_running_loop().run_in_executor(self._threads.plans, parse_payload, *words)
                 return {**await self._plan(read), "file": read}
+            case AgainRequest(id=name):
+                sent = self._view.history.goal_of(name)
+                if sent is None:
+                    return {"accepted": False, "message": f"the panel does not have the goal {name} any more"}
+                return {**await self._plan(sent), "file": sent}
             case SeekRequest():
                 asked = {"at": request.at, "speed": request.speed, "paused": request.paused}
                 changed = {k: v for k, v in asked.items() if v is not None}

@@ -83,6 +83,12 @@ class GoalFileRequest(NumberedRequest, tag="file"):
     text: Annotated[str, Meta(max_length=1_000_000)]
 
 
+class AgainRequest(NumberedRequest, tag="again"):
+    """Plan a goal that was sent before, by the id of that goal."""
+
+    id: Label
+
+
 class SeekRequest(NumberedRequest, tag="seek"):
     """Move a replay to a time, set its speed, pause or continue it."""
 
@@ -92,7 +98,15 @@ class SeekRequest(NumberedRequest, tag="seek"):
 
 
 UrgentRequest = StopRequest | CancelRequest
-FreeRequest = UrgentRequest | TakeControlRequest | ReleaseControlRequest | PlanRequest | GoalFileRequest | SeekRequest
+FreeRequest = (
+    UrgentRequest
+    | TakeControlRequest
+    | ReleaseControlRequest
+    | PlanRequest
+    | GoalFileRequest
+    | AgainRequest
+    | SeekRequest
+)
 ControlRequest = (  # need control, and the number of a recent heartbeat, because each can lead to motion
     ResetRequest | JogRequest | LockRequest | ObstaclesRequest | FaultRequest | PoseRequest | GoalRequest
 )

@@ -38,7 +38,7 @@ for (let k = 0; k < data.length; k += 4) {
 return count;
 """
 MEASURED, PLANNED, OBSTACLE = [0, 114, 178], [0, 120, 90], [138, 75, 114]  # light colours of style.css
-UNKNOWN = [163, 25, 91]  # light colour of style.css
+UNKNOWN, BAD = [163, 25, 91], [176, 0, 32]
 COUNT = 48  # actuators
 FAULT: dict[str, Any] = {
     "mode": "fault",

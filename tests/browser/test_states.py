@@ -4,6 +4,7 @@ import pytest
 
 from tests.browser.conftest import Trouble
 from tests.browser.rig import (
+    BAD,
     COUNT,
     DRAWN,
     FAULT,
@@ -98,6 +99,14 @@ def test_a_goal_that_cannot_be_planned_does_not_go(trouble: Trouble, driver: obj
         shown.says("#goal .plan", "✗ out of reach")
         shown.says("#goal .why", "cannot be planned")
         assert not enabled(shown)
+        type_goal(shown, 0.4, 2.9)
+        eventually(lambda: shown.run(DRAWN, BAD) > 30)  # the mark in the picture
+        shown.says("#answer", "✗ out of reach")
+        shown.picture("more/panel-refused.png")
+        trouble.daemon.answer = {**trouble.daemon.answer, "message": "waypoints[0] to waypoints[1]: 0.6 s"}
+        shown.press_named(".tools button", "Curve")
+        shown.press_named("#goal .fields button", "Add a point")
+        shown.says("#answer", "✗ point 1 to point 2: 0.6 s")
     finally:
         trouble.daemon.answer = accepted
 
@@ -125,7 +134,9 @@ def test_the_deviation_is_an_outline(trouble: Trouble, driver: object) -> None:
     box = shown.run("return document.querySelector('.stage').getBoundingClientRect().toJSON()")
     inside = shown.run(pixel, round(0.62 * box["width"]), round(0.22 * box["height"]))
     assert inside[3] == 0, "the region within the outline is not covered"
-    shown.says(".legend", "greatest deviation on the way", "lengths in m")
+    shown.says(".legend", "lengths in m")
+    marks = [mark.text for mark in shown.all(".legend .mark") if mark.is_displayed()]
+    assert marks == ["measured", "planned", "greatest deviation on the way"], "only what the picture has"
 
 
 def test_locks_of_one_kind_stand_together_with_one_advice(trouble: Trouble, driver: object) -> None:

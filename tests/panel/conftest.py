@@ -29,10 +29,12 @@ Message = dict[str, Any]
 
 ORIGIN, SOCKETS = "http://127.0.0.1:7480", "ws://127.0.0.1:7480"
 OPERATOR, OTHER, VIEWER = "operator's token", "another operator's token", "viewer's token"
+GUARD = "token of a viewer who may stop"
 PEOPLE = (
     PersonEntry("anna", "operator", digest_of(OPERATOR)),
     PersonEntry("bert", "operator", digest_of(OTHER)),
     PersonEntry("hall", "viewer", digest_of(VIEWER)),
+    PersonEntry("dora", "viewer", digest_of(GUARD), stop=True),
     PersonEntry("carl", "operator"),  # by certificate only
 )
 
@@ -50,6 +52,7 @@ COMMANDS = [
     ("plan", {"goal": GOAL}),
     ("go", {"goal": GOAL}),
     ("file", {"text": "waypoints: []"}),
+    ("again", {"id": "g"}),
 ]
 
 

@@ -9,7 +9,7 @@ from hyperbit.controller.panel.arms.heartbeats import LONGEST
 from tests.panel.conftest import ARM, COMMANDS, GOAL, OTHER, Opened, Site
 from tests.waiting import eventually
 
-FREE = ("stop", "cancel", "take", "release", "plan", "file")
+FREE = ("stop", "cancel", "take", "release", "plan", "file", "again")
 MOVING = [(do, fields) for do, fields in COMMANDS if do not in FREE] + [("fault", {"fault": "silence can0/1"})]
 EXEMPT = [(do, fields) for do, fields in COMMANDS if do in ("stop", "cancel")]
 

@@ -12,7 +12,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from hyperbit.controller.network.reach import Cause, NoSession
 from hyperbit.controller.panel.arm_page import RequestThreads
 from hyperbit.controller.panel.arms import arms
-from tests.panel.conftest import ARM, COMMANDS, GOAL, OPERATOR, OTHER, SOCKETS, VIEWER, Opened, Site
+from tests.panel.conftest import ARM, COMMANDS, GOAL, GUARD, OPERATOR, OTHER, SOCKETS, VIEWER, Opened, Site
 from tests.waiting import PATIENCE, eventually
 
 PAGES_THAT_STOP = 24  # each asks over HTTP and over its WebSocket, again and again
@@ -118,7 +118,7 @@ def test_goals_are_planned_drawn_and_sent(site: Site) -> None:
     plan = page.ask("plan", goal=GOAL)
     assert plan["accepted"]
     assert len(plan["waypoints"][0]["body"]) == 16 * 4 * 4
-    answer = page.ask("go", goal={**GOAL, "id": "mine"})
+    answer = page.ask("go", goal={**GOAL, "id": "mine", "stamp": 5.0})
     assert answer["accepted"]
     assert site.daemon.commands() == ["plan", "goal"]
     assert answer["id"].startswith("anna-")
@@ -130,6 +130,10 @@ def test_goals_are_planned_drawn_and_sent(site: Site) -> None:
     site.daemon.put("result", {"id": "lost", "status": "aborted", "message": "in doubt", "repeated": True})
     told = page.until("goals", lambda told: told["goals"][-1]["id"] == "lost")["goals"]
     assert [goal["status"] for goal in told] == ["succeeded", "aborted"]
+    assert [goal.get("again") for goal in told] == [True, None]
+    again = page.ask("again", id=answer["id"])
+    assert (again["accepted"], again["file"]) == (True, GOAL)
+    assert not page.ask("again", id="lost")["accepted"]
 
 
 def test_a_file_is_read_strictly(site: Site) -> None:
@@ -158,6 +162,17 @@ def test_a_viewer_commands_nothing(site: Site, do: str, fields: dict[str, object
     answer = page.ask(do, **fields)
     assert (answer["accepted"], answer["message"]) == (False, "hall may look, not command")
     assert site.daemon.asked == []
+
+
+def test_a_viewer_whom_the_file_of_people_lets_stop_does_nothing_else(site: Site) -> None:
+    page, headers = site.open(GUARD), site.cookie(GUARD)
+    assert page.until("you")["stop"]
+    assert page.ask("reset")["message"] == "dora may look and stop, not command"
+    assert not page.ask("cancel")["accepted"]
+    assert page.ask("stop")["accepted"]
+    for path in (f"/arms/{ARM}/stop", "/stop"):
+        assert site.browser.post(path, headers=headers).json()["accepted"]
+    assert site.daemon.commands() == ["stop"] * 3
 
 
 def test_one_page_has_control_and_anybody_may_stop(site: Site) -> None:

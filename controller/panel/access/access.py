@@ -50,4 +50,4 @@ class Access:
 
 
 def described(entry: PersonEntry | None) -> Person | None:
-    return None if entry is None else Person(entry.name, entry.role)
+    return None if entry is None else Person(entry.name, entry.role, entry.stop)

@@ -18,6 +18,11 @@ TOKEN_BYTES = 32
 class Person(NamedTuple):
     name: str
     role: Role
+    stop: bool = False  # whether a viewer may stop arms
+
+    @property
+    def may_stop(self) -> bool:
+        return self.stop or self.role == "operator"
 
 
 class PersonEntry(Struct, forbid_unknown_fields=True, frozen=True):
@@ -26,6 +31,7 @@ class PersonEntry(Struct, forbid_unknown_fields=True, frozen=True):
     role: Role
     # SHA-256 of the person's token, hexadecimal; None: the person needs a client certificate
     token: Annotated[str, Meta(pattern=r"^[0-9a-f]{64}\Z")] | None = None
+    stop: bool = False  # whether a viewer may stop arms
 
 
 class People(Struct, forbid_unknown_fields=True, frozen=True):

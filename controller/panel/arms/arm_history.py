@@ -5,9 +5,12 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import msgspec
+
 Message = dict[str, Any]
 
 MOST_GOALS, MOST_LINES = 30, 200
+MOST_BYTES = 50_000  # of a goal that is kept to be sent again
 MOST_POINTS = 600  # of each curve over time
 SKIPPED = "skipped"  # status of a goal whose result a replay has not shown
 LONGEST = 500  # characters of a log line
@@ -19,6 +22,7 @@ class ArmHistory:
     def __init__(self, clock: Callable[[], float] = time.time) -> None:
         self._clock = clock
         self.goals: deque[Message] = deque(maxlen=MOST_GOALS)
+        self._goals: dict[str, Message] = {}  # what was sent, by id
         self.lines: deque[Message] = deque(maxlen=MOST_LINES)
         self.errors: deque[tuple[float, float]] = deque(maxlen=MOST_POINTS)
         self.lateness: deque[tuple[float, float]] = deque(maxlen=MOST_POINTS)
@@ -65,8 +69,22 @@ class ArmHistory:
         if payload.get("key") not in ("goal", "jog") or not answer.get("accepted"):
             return
         goal = payload.get("payload")
-        waypoints = goal.get("waypoints") if isinstance(goal, dict) else None
-        self.goal(str(answer.get("id")), len(waypoints) if isinstance(waypoints, list) else 1)
+        self.sent(str(answer.get("id")), goal if isinstance(goal, dict) else {})
+
+    def sent(self, name: str, goal: Message) -> None:
+        """Records an accepted goal, or a jog, which has no waypoints."""
+        points = goal.get("waypoints")
+        entry = self.goal(name, len(points) if isinstance(points, list) else 1)
+        again = {field: value for field, value in goal.items() if field not in ("id", "stamp")}
+        if points and len(msgspec.json.encode(again)) <= MOST_BYTES:
+            entry["again"] = True
+            self._goals[name] = again
+            for old in self._goals.keys() - {it["id"] for it in self.goals}:
+                del self._goals[old]
+
+    def goal_of(self, name: str) -> Message | None:
+        """Returns a goal that was sent, without its id and time stamp; None if it is not kept."""
+        return self._goals.get(name)
 
     def goal(self, name: str, waypoints: int | None) -> Message:
         for entry in reversed(self.goals):

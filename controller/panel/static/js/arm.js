@@ -23,6 +23,19 @@ const MODES = {
   3: { goal: "Goal", turn: "Turn", curve: "Curve", obstacle: "Obstacle", pan: "Orbit" },
 };
 
+const LEGEND = {
+  measured: "measured",
+  unknown: "position unknown, drawn as last known",
+  commanded: "commanded",
+  ghost: "planned",
+  deviation: "greatest deviation on the way",
+  refused: "refused goal",
+  goal: "running goal",
+  waypoints: "waypoints",
+  obstacle: "obstacle",
+  density: "density of reachable tips",
+};
+
 export function showArm(name, onLogin) {
   show("arm");
   const connection = new Connection(`arms/${name}/live`, { onLogin });
@@ -35,7 +48,7 @@ export function showArm(name, onLogin) {
   const append = showObstacles(connection, notify);
   showControl(connection, notify);
   showPlay(connection, notify);
-  showGoals(connection);
+  showGoals(connection, editor);
   showCurves(connection);
   showWear(connection);
   showBoards(connection);
@@ -106,18 +119,10 @@ function showTools(view, editor) {
     zoom("−", "Farther", () => view.zoomBy(1 / 1.4)),
     zoom("⤢", "All", () => view.fit()),
   );
-  const mark = (name, text) => el("span", { class: `mark ${name}` }, text);
-  fill(
-    document.querySelector(".legend"),
-    mark("measured", "measured"),
-    mark("unknown", "position unknown, drawn as last known"),
-    mark("commanded", "commanded"),
-    mark("ghost", "planned"),
-    mark("deviation", "greatest deviation on the way"),
-    mark("goal", "goal"),
-    mark("waypoints", "waypoints"),
-    mark("obstacle", "obstacle"),
-    view.arm.density ? mark("density", "density of reachable tips") : null,
-    el("span", {}, `lengths in ${view.arm.unit ?? "the unit of the arm's file"}`),
-  );
+  const marks = Object.entries(LEGEND).map(([name, text]) => [name, el("span", { class: `mark ${name}`, hidden: true }, text)]);
+  const unit = el("span", {}, `lengths in ${view.arm.unit ?? "the unit of the arm's file"}`);
+  fill(document.querySelector(".legend"), ...marks.map(([, mark]) => mark), unit);
+  view.painted = (drawn) => {
+    for (const [name, mark] of marks) mark.hidden = !drawn[name];
+  };
 }

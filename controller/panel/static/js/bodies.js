@@ -1,11 +1,13 @@
-// The drawn bodies of the arm: which line segments are known, and which belong to modules of unknown position.
+// The drawn bodies of the arm: which line segments are known, and which belong to modules of unknown position. `commanded` is
+// null if the arm is where it was commanded.
 
 export const NOTHING = { commanded: null, measured: null, known: null, unknown: null, marks: [] };
 
 // Divides the measured body by the modules of unknown position.
 // `lines`: number of line segments of each module; a segment has two points of `dimension` coordinates.
 export function divided(bodies, { lines, dimension }) {
-  const { measured, commanded } = bodies;
+  const { measured } = bodies;
+  const commanded = String(bodies.commanded) === String(measured) ? null : bodies.commanded;
   const unknown = new Set(bodies.unknown ?? []);
   if (!measured || unknown.size === 0) return { commanded, measured, known: measured, unknown: null, marks: [] };
   const parts = { known: [], unknown: [] };

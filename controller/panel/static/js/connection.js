@@ -95,6 +95,10 @@ export class Connection {
     return this.latest.you?.role === "operator" && !this.latest.you.replay;
   }
 
+  get mayStop() {
+    return Boolean(this.latest.you?.stop) && !this.latest.you.replay;
+  }
+
   on(section, listener) {
     if (!this.listeners.has(section)) this.listeners.set(section, []);
     this.listeners.get(section).push(listener);
@@ -137,7 +141,8 @@ function tell(listener, message) {
   }
 }
 
-// The message of an answer, and the advice if the request was refused.
+// The message of an answer, and the advice if the request was refused. The points have the numbers of the picture.
 export function inWords({ message, advice }) {
-  return advice ? `${message} → ${advice}` : message;
+  const numbered = String(message).replace(/waypoints\[(\d+)\](\.\w+)*/g, (_, k) => `point ${Number(k) + 1}`);
+  return advice ? `${numbered} → ${advice}` : numbered;
 }

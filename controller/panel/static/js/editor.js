@@ -101,6 +101,11 @@ export class Editor {
     return this.validPlan !== null && this.plannedGoal === JSON.stringify(this.goal);
   }
 
+  // Whether the present goal cannot be planned from the present state.
+  get refused() {
+    return this.upToDate && !this.plan.accepted;
+  }
+
   // Requests a plan of the present goal, and again until the plan belongs to the present goal and state.
   // A moving or stopped arm has no plan: the goal is planned when the arm is ready.
   async ask() {
@@ -123,10 +128,10 @@ export class Editor {
     this.changed({ plan: false });
   }
 
-  // Reads a goal's file on the server, which knows YAML, and shows its plan.
-  async upload(text) {
+  // Shows the plan of a goal that the server has: a file's text, or a goal that was sent before.
+  async open(request) {
     const from = situation(this.state);
-    const answer = await this.connection.ask({ do: "file", text });
+    const answer = await this.connection.ask(request);
     this.file = answer.file ?? null;
     Object.assign(this, { plan: answer, plannedFrom: from, plannedGoal: JSON.stringify(this.file) });
     const waypoints = Array.isArray(answer.file?.waypoints) ? answer.file.waypoints : [];

@@ -58,7 +58,7 @@ export function showFields(editor, arm) {
     remove.hidden = last() < (editor.mode === "curve" ? 0 : 1);
     remove.textContent = `Remove point ${last() + 1}`;
     fields.disabled = editor.file !== null;
-    fields.title = editor.file === null ? "" : "The goal is a named pose or a file: Clear it to type another.";
+    fields.title = editor.file === null ? "" : "The goal is a named pose, a file or an earlier goal: Clear it to type another.";
   };
   editor.on(describe);
   describe();

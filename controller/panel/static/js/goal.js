@@ -23,6 +23,7 @@ export function showGoal(connection, editor, notify) {
   const cancel = el("button", { type: "button", id: "cancel" }, "Hold now");
   const clear = el("button", { type: "button" }, "Clear");
   const brief = el("span", {}); // the plan in a line, beside Go on a small screen
+  const answer = document.getElementById("answer"); // the same below the picture on a large screen
   const pace = el("b", {}); // the progress in a line
   const bar = el("div", { class: "go-bar" }, el("span", { class: "brief" }, pace, brief), go);
   const upload = el("input", { type: "file", accept: ".json,.yaml,.yml", id: "upload" });
@@ -88,9 +89,20 @@ export function showGoal(connection, editor, notify) {
     editor.clear();
   });
   upload.addEventListener("change", async () => {
-    if (upload.files.length) await editor.upload(await upload.files[0].text());
+    if (upload.files.length) await openFile(upload.files[0]);
     upload.value = "";
   });
+  const view = document.querySelector(".view");
+  view.addEventListener("dragover", (event) => event.preventDefault()); // otherwise the browser opens the file
+  view.addEventListener("drop", (event) => {
+    event.preventDefault();
+    const [file] = event.dataTransfer.files;
+    if (file && connection.mayCommand) openFile(file);
+  });
+
+  async function openFile(file) {
+    await editor.open({ do: "file", text: await file.text() });
+  }
   editor.on(describe);
   connection.on("you", describe);
 
@@ -102,7 +114,11 @@ export function showGoal(connection, editor, notify) {
     const note = running ? "Go replaces the running goal." : editor.goal === null ? "" : obstacle;
     if (why.textContent !== note) why.textContent = note;
     words.classList.toggle("late", editor.goal !== null && !editor.upToDate);
-    brief.textContent = editor.goal === null ? "Touch the picture to place a goal." : obstacle === REFUSED ? withoutField(editor.plan.message) : note || inBrief(editor.validPlan);
+    const line = editor.goal === null ? hint(editor) : obstacle === REFUSED ? refusal(editor) : note || inBrief(editor.validPlan);
+    for (const place of [brief, answer]) {
+      if (place.textContent !== line) place.textContent = place.title = line;
+      place.classList.toggle("bad", obstacle === REFUSED);
+    }
     if (editor.goal !== null && JSON.stringify(editor.goal) !== about) message.textContent = "";
     showPlan(editor);
   }
@@ -133,9 +149,10 @@ function goObstacle(editor, sent, silent) {
   return editor.plan.accepted ? "" : REFUSED;
 }
 
-// A refusal's words without the field of a goal's first waypoint, which the page does not show.
-function withoutField(message) {
-  return message.replace(/^waypoints\[0\]\.\w+: /, "");
+// The words of a refusal. A goal of one point needs no number.
+function refusal(editor) {
+  const words = inWords(editor.plan);
+  return `✗ ${editor.points.length > 1 ? words : words.replace(/^point 1: /, "")}`;
 }
 
 function inBrief(plan) {
@@ -166,8 +183,8 @@ function planCard() {
     }
     summary.textContent = "";
     fill(list);
-    if (plan !== null) fill(text, el("p", { class: "bad" }, `✗ ${withoutField(inWords(plan))}`));
-    else fill(text, editor.goal === null ? el("p", { class: "hint" }, hint(editor)) : null);
+    if (plan !== null) fill(text, el("p", { class: "bad" }, refusal(editor)));
+    else fill(text);
   };
   return { words, showPlan };
 }
@@ -192,7 +209,7 @@ function hint(editor) {
 }
 
 const hints = {
-  goal: "Click or drag in the picture to place a goal, or type one. Nothing moves before Go.",
+  goal: "Place or type a goal, or drop a file. Nothing moves before Go.",
   curve: "Click the points of a curve, one after the other.",
   turn: "Place a goal first, then drag the rings to turn it.",
   obstacle: "Drag in the picture to draw an obstacle.",

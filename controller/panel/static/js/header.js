@@ -29,7 +29,8 @@ export function showHeader(name, connection, notify) {
   connection.on("presence", ({ alive, missing }) => showMissing(alive ? [] : missing)); // others may be down
   connection.on("you", () => {
     const viewer = !connection.mayCommand;
-    part("stop").disabled = part("reset").disabled = viewer;
+    part("stop").disabled = !connection.mayStop;
+    part("reset").disabled = viewer;
     document.body.classList.toggle("viewer", viewer);
   });
   pressToStop(part("stop"), { path: `arms/${name}/stop`, what: "Stop", notify, connection });

@@ -4,7 +4,7 @@ import { clock, el, fill, number } from "./dom.js";
 
 const MARKS = { succeeded: "✓", running: "▶", canceled: "◼", replaced: "↷", aborted: "✗", skipped: "»" };
 
-export function showGoals(connection) {
+export function showGoals(connection, editor) {
   const list = el("ol", { class: "goals", reversed: true });
   document.getElementById("goals").append(el("div", { class: "scroll", role: "region", tabIndex: 0, "aria-label": "Last goals" }, list));
   connection.on("goals", ({ goals }) =>
@@ -17,7 +17,8 @@ export function showGoals(connection) {
           typeof goal.error === "number" ? `error ${number(goal.error, 5)}` : null,
           typeof goal.switches === "number" ? `${goal.switches} switches` : null,
           goal.status === "succeeded" ? null : goal.message,
-        ].filter(Boolean).join(", ")))),
+        ].filter(Boolean).join(", ")),
+        goal.again ? el("button", { type: "button", class: "again", onclick: () => editor.open({ do: "again", id: goal.id }) }, "Plan again") : null)),
       goals.length ? null : el("li", { class: "faint" }, "No goal since the panel started.")));
 }
 

@@ -34,13 +34,13 @@ export function showList(onLogin) {
   }, 250);
 }
 
-// The person of the page, and the button for operators that stops all arms, also arms that the list does not show yet.
+// The person of the page, and the button that stops all arms, also arms that the list does not show yet.
 function showStopAll(connection) {
   const stop = document.getElementById("stop-all");
   const notify = notifier();
   connection.on("you", (you) => {
     document.querySelector(".who").textContent = `${you.name}, ${you.role}`;
-    stop.disabled = you.role !== "operator";
+    stop.disabled = !connection.mayStop;
   });
   pressToStop(stop, { path: "stop", what: "Stop all", notify });
 }

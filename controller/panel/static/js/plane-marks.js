@@ -55,17 +55,22 @@ export function drawCross(view, position, colour) {
   view.line([[x - 7, y + 7], [x + 7, y - 7]]);
 }
 
-// An edited point: a ring of the tolerance's radius, at least a finger wide, and a handle.
+// An edited point: a ring of the tolerance's radius, at least a finger wide, and a handle. The ring of a refused goal is
+// dashed and named.
 export function drawGoal(view, point, k) {
-  const { context } = view;
+  const { context, editor } = view;
   const [x, y] = view.toScreen(point.position);
-  drawCross(view, point.position, "ghost");
-  context.strokeStyle = context.fillStyle = view.colour("ghost");
+  const colour = editor.refused ? "bad" : "ghost";
+  drawCross(view, point.position, colour);
+  context.strokeStyle = context.fillStyle = view.colour(colour);
+  context.setLineDash(editor.refused ? [5, 4] : []);
   context.beginPath();
-  context.arc(x, y, Math.max(12, (view.editor.tolerance ?? 0) * view.scale), 0, 2 * Math.PI);
+  context.arc(x, y, Math.max(12, (editor.tolerance ?? 0) * view.scale), 0, 2 * Math.PI);
   context.stroke();
-  if (view.editor.points.length > 1) context.fillText(String(k + 1), x + 14, y - 10);
-  if (k !== view.editor.points.length - 1) return;
+  context.setLineDash([]);
+  if (editor.refused && k === editor.points.length - 1) context.fillText("refused", x + 16, y + 20);
+  if (editor.points.length > 1) context.fillText(String(k + 1), x + 14, y - 10);
+  if (k !== editor.points.length - 1) return;
   const [hx, hy] = handle(view, point);
   context.setLineDash(point.orientation === null ? [2, 4] : []);
   view.line([[x, y], [hx, hy]]);

@@ -105,9 +105,7 @@ export class PlaneView extends View {
     this.drawBody(this.bodies.known, "measured", 2.4);
     this.drawBody(this.bodies.unknown, "unknown", 2.4, [3, 5]);
     for (const middle of this.bodies.marks) drawQuestion(this, middle);
-    if (String(this.bodies.commanded) !== String(this.bodies.measured)) {
-      this.drawBody(this.bodies.commanded, "commanded", 1.6, [5, 4]);
-    }
+    this.drawBody(this.bodies.commanded, "commanded", 1.6, [5, 4]);
     if (this.state?.target) drawCross(this, this.state.target.position, "goal");
     this.editor.points.forEach((point, k) => drawGoal(this, point, k));
     if (this.state?.tip) drawTip(this, this.state.tip);

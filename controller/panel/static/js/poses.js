@@ -26,7 +26,7 @@ export function showPoses(connection, editor, notify) {
   describe();
   name.addEventListener("input", () => (replaced = null));
   use.addEventListener("click", async () => {
-    if (chosen.value) await editor.upload(JSON.stringify(goalOf(chosen.value)));
+    if (chosen.value) await editor.open({ do: "file", text: JSON.stringify(goalOf(chosen.value)) });
   });
   remove.addEventListener("click", async () => {
     if (chosen.value) notify(await connection.ask({ do: "pose", remove: chosen.value }), "Remove pose");

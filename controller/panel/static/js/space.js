@@ -93,13 +93,12 @@ export class SpaceView extends View {
     const { bodies, state, editor } = this;
     this.bars.measured.set(bodies.known, colour("measured"));
     this.bars.unknown.set(bodies.unknown, colour("unknown"));
-    const same = String(bodies.commanded) === String(bodies.measured);
-    this.bars.commanded.set(same ? [] : bodies.commanded, colour("commanded"));
+    this.bars.commanded.set(bodies.commanded, colour("commanded"));
     this.paintGhosts(colour("ghost"));
     this.place(this.tip, state?.tip?.position, colour("measured"));
     this.place(this.target, state?.target?.position, colour("goal"));
     const last = editor.points.at(-1);
-    this.place(this.goal, last?.position, colour("ghost"));
+    this.place(this.goal, last?.position, colour(editor.refused ? "bad" : "ghost"));
     this.input.follow(last);
     this.paintPath(colour("goal"));
     this.paintRegions(colour("obstacle"));

@@ -13,6 +13,26 @@ export class View {
     this.pending = requestAnimationFrame(() => {
       this.pending = null;
       this.paint();
+      this.painted?.(this.marks);
     });
+  }
+
+  // Whether the picture has each mark of the legend.
+  get marks() {
+    const { arm, bodies, state, editor } = this;
+    const plan = editor.validPlan?.accepted ? editor.validPlan : null;
+    const planned = plan?.waypoints.find((waypoint) => waypoint.body);
+    return {
+      measured: Boolean(bodies.known?.length),
+      unknown: Boolean(bodies.unknown?.length),
+      commanded: Boolean(bodies.commanded),
+      ghost: Boolean(planned),
+      deviation: Boolean(state?.tip && planned?.excursion),
+      refused: editor.refused,
+      goal: Boolean(state?.target),
+      waypoints: this.waypoints.length > 1 || editor.points.length > 1,
+      obstacle: this.obstacles.length > 0 || this.sketch !== null,
+      density: Boolean(arm.density),
+    };
   }
 }
