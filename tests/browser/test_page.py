@@ -86,11 +86,11 @@ def test_a_pose_takes_a_second_drag_and_a_curve_a_click_for_each_point(page: Pag
     shown.type("#goal .fields label:nth-child(3) input", "10")
     shown.says("#goal .plan", "switches", "certificate")
     shown.press("[data-mode=curve]")
-    for right, down in ((30, -150), (80, -140), (120, -120)):
+    for right, down in ((-60, -150), (-110, -140), (-150, -100)):
         ActionChains(shown.driver).move_to_element_with_offset(canvas, right, down).click().perform()
     shown.says("#goal .fields", "Remove point 4")
     shown.press("#goal .buttons button:nth-child(3)")
-    shown.says("#goal .plan", "Click")
+    shown.says("#answer", "Click")
 
 
 def test_stop_is_one_press_and_reset_is_held(page: Page) -> None:
