@@ -56,7 +56,8 @@ def missing(value: Any, kind: Any, path: str = "") -> Iterator[str]:
 
 def test_the_file_has_every_field_of_the_reference() -> None:
     every = missing(read_yaml(FILE), ArmSettings)
-    found = [name for name in every if "<GroupSettings>.modules<" not in name]  # the same modules stand outside
+    # The same modules stand outside of groups; `wiring` names a table in place of `actuators`.
+    found = [name for name in every if "<GroupSettings>.modules<" not in name and name != ".wiring"]
     assert not [name for name in found if not any(field in name for field in SPATIAL)], found
 
 
