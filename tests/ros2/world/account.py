@@ -1,7 +1,7 @@
 """What ROS clients have asked of the bridge, and what became of it."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -20,6 +20,10 @@ LEGAL = {
 
 
 SENT_WITHIN = 3.0  # [s] until a stop or cancel is sent
+REPEATED_WITHIN = 5.0  # [s] until an owed cancel is sent again, for each that is owed
+KNOWN_WITHIN = 15.0  # [s] after which a goal that the ledger does not have is lost
+GONE_AFTER = 60.0  # [s] without a daemon, after which its goals are lost
+KEPT, MOST_LATER = 50.0, 30  # a result is kept so long [s], and until so many later requests
 BARRED = {"goal": ("stop", "cancel"), "setpoint": ("stop", "cancel"), "reset": ("stop",), "plan": ()}
 
 
@@ -118,10 +122,32 @@ class Goal:
     def active(self) -> bool:
         return self.status not in ENDS
 
+    def is_kept(self, now: float) -> bool:
+        """Whether its result must be known."""
+        return now < self.ended + KEPT and self.later < MOST_LATER
+
+    def step(self, status: Status) -> bool:
+        """Takes a status; returns whether it is new. A first status may come late."""
+        old, self.status = self.status, status
+        if old != status and (old, status) not in LEGAL and (old or status not in (*ACTIVE, Status.ABORTED)):
+            raise Wrong(f"{self.id} has come from status {old} to {status}")
+        return old != status
+
 
 def identity(uuid: bytes) -> str:
     """Returns the daemon's id of an action's goal."""
     return f"ros2-{uuid.hex()}"
+
+
+def status_of(word: str, *, canceled: bool) -> Status:
+    """Returns the status of a goal whose end the daemon tells by this word."""
+    if word == "succeeded":
+        return Status.SUCCEEDED
+    return Status.CANCELED if word == "canceled" and canceled else Status.ABORTED
+
+
+def points_of(payload: Mapping[str, Any]) -> list[Any]:
+    return [it.get("position") for it in payload.get("waypoints", ())]
 
 
 def fits(points: Positions, wanted: Positions | None) -> bool:
@@ -131,6 +157,64 @@ def fits(points: Positions, wanted: Positions | None) -> bool:
         and len(points) == len(wanted)
         and all(it is None or all(map(math.isclose, it, want)) for it, want in zip(points, wanted, strict=True))
     )
+
+
+class Debts(dict[str, Debt]):
+    """Cancels that are owed to the daemon, by the ids of goals.
+
+    Attributes:
+        paid: goals whose cancel was owed once, and may be under way.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        super().__init__()
+        self._clock, self.paid = clock, set[str]()
+
+    def owe(self, name: str) -> None:
+        self.setdefault(name, Debt(self._clock()))
+
+    def pay(self, name: str) -> None:
+        if self.pop(name, None) is not None:
+            self.paid.add(name)
+
+    def send(self, name: str) -> None:
+        if name in self:
+            self[name].last = self._clock()
+        elif name not in self.paid:
+            raise Wrong(f"goal {name} is canceled, and nobody asked for it")
+
+    def check_time(self, since: float) -> None:
+        """`since`: the bridge can send from then on [s]."""
+        for name, debt in self.items():
+            if self._clock() > max(debt.last, debt.began, since) + REPEATED_WITHIN * len(self):
+                raise Wrong(f"the accepted cancel of {name} is not repeated; the goal has not ended")
+
+
+class Losses:
+    """When the bridge may say that a goal of the daemon is lost.
+
+    Attributes:
+        since: when a goal was sent, or restored [s].
+        gone: since when there is no daemon [s].
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock, self.since, self.gone = clock, dict[str, float](), math.inf
+        self._unknown: dict[str, float] = {}  # when the ledger did not have a goal [s]
+
+    def begin(self, name: str) -> None:
+        self._unknown.pop(name, None)
+        self.since[name] = self._clock()
+
+    def is_unknown(self, name: str) -> bool:
+        """Accepts that the ledger does not have a goal; returns whether it had time to."""
+        self._unknown[name] = self._clock()
+        return self._clock() >= self.since.get(name, -math.inf) + KNOWN_WITHIN
+
+    def may_be_lost(self, name: str) -> bool:
+        since = self.since.get(name, -math.inf)
+        unknown = self._unknown.get(name, -math.inf) > since + KNOWN_WITHIN
+        return unknown or self._clock() > max(self.gone, since) + GONE_AFTER
 
 
 class Asks:

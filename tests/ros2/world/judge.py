@@ -11,14 +11,25 @@ from typing import Any
 
 from hyperbit.controller.ros2.poses import BadGoal
 from hyperbit.controller.ros2.wire.action_events import Status
-from tests.ros2.world.account import ACTIVE, BARRED, ENDS, LEGAL, Ask, Asks, Debt, Goal, Result, Told, Wrong, identity
+from tests.ros2.world.account import (
+    ACTIVE,
+    BARRED,
+    ENDS,
+    Ask,
+    Asks,
+    Debts,
+    Goal,
+    Losses,
+    Result,
+    Told,
+    Wrong,
+    identity,
+    points_of,
+    status_of,
+)
 from tests.ros2.world.motion import Arm, motion_of, time_limit
 
-REPEATED_WITHIN = 5.0  # [s] until an owed cancel is sent again, for each that is owed
 CANCELED_WITHIN = 2.0  # [s] until a goal is canceled that exceeds its time
-KNOWN_WITHIN = 15.0  # [s] after which a goal that the ledger does not have is lost
-GONE_AFTER = 60.0  # [s] without a daemon, after which its goals are lost
-KEPT, MOST_LATER = 50.0, 30  # a result is kept so long [s], and until so many later requests
 LONGEST_WORDS = 10_000  # letters of a sentence on /rosout
 LOST, TOO_LATE = -4, -5  # codes of results that the bridge makes itself
 MOTIONS = {"tip": "goal", "actuators": "goal", "goal_pose": "goal", "goal_path": "goal"}  # keys of the daemon, by kind
@@ -35,19 +46,17 @@ class Judge:
         self._arm, self._kinds, self._clock, self._epoch = arm, kinds, clock, epoch
         self.goals: dict[tuple[str, bytes], Goal] = {}
         self.accepted = self.ended = 0
-        self.debts: dict[str, Debt] = {}
+        self.debts = Debts(clock)
         self.asks = Asks(clock)
         self._limits: dict[bytes, tuple[float, float]] = {}  # stamp and time allowed after it, of goals by id [s]
         self._due: dict[str, float] = {}  # time before which the limit of a goal is not over [s]
         self._ends: defaultdict[str, list[Told]] = defaultdict(list)
         self._unexplained: list[Goal] = []
-        self._unknown: dict[str, float] = {}  # when the ledger did not have a goal [s]
-        self._since: dict[str, float] = {}  # when a goal was sent, or restored [s]
-        self._paid: set[str] = set()  # cancels that were owed once, and may be under way
+        self._losses = Losses(clock)
         self._orphans: dict[tuple[str, bytes], list[str]] = {}  # goals without an answer when the bridge was killed
         self._doubtful: set[bytes] = set()  # goals whose cancel had no answer when the bridge was killed
         self._opening = False  # whether a bridge restores its goals
-        self._gone, self._there = math.inf, 0.0
+        self._there = 0.0  # a node was not there until then [s]
         self._state: dict[str, Any] = {}
         self._fed = True
 
@@ -90,18 +99,14 @@ class Judge:
                 if name in self.debts:
                     raise Wrong(f"goal {name} is sent while a cancel of its id is owed")
                 self._ends.pop(name, None)
-                self._unknown.pop(name, None)
-                self._since[name] = self._clock()
+                self._losses.begin(name)
                 return ask
             case "plan" | "reset":
                 return self.asks.send(key, points_of(payload))
             case "cancel" if name:
                 if self._clock() >= self._due.get(name, math.inf):
-                    self._owe(name)
-                if name in self.debts:
-                    self.debts[name].last = self._clock()
-                elif name not in self._paid:
-                    raise Wrong(f"goal {name} is canceled, and nobody asked for it")
+                    self.debts.owe(name)
+                self.debts.send(name)
             case "stop" | "cancel":
                 self.asks.send_ending(key)
         return None
@@ -116,28 +121,26 @@ class Judge:
         if ask is not None:
             ask.answer = accepted
             if key == "goal":
-                self._since[name] = self._clock()
+                self._losses.since[name] = self._clock()
                 if accepted is None:
-                    self._owe(name)
+                    self.debts.owe(name)
         elif key in self.asks.endings and not name:
             ending = self.asks.endings[key]
             ending.accepted = ending.sent if accepted else 0
         elif key == "result" and sure and answer is not None:
             if answer.get("result") is not None:
                 self._receive_end(name, answer["result"], sure=True)
-            elif answer.get("reason") == "unknown-goal":
-                self._unknown[name] = self._clock()
-                if self._clock() >= self._since.get(name, -math.inf) + KNOWN_WITHIN:
-                    self._pay(name)
+            elif answer.get("reason") == "unknown-goal" and self._losses.is_unknown(name):
+                self.debts.pay(name)
 
     # What the daemon tells, and what the bridge tells ROS clients.
 
     def receive_told(self, key: str, data: bytes, *, sure: bool) -> None:
         """Accepts a message that the bridge hears; not `sure`: it may be anything."""
         if key == "gone":
-            self._gone = min(self._gone, self._clock())
+            self._losses.gone = min(self._losses.gone, self._clock())
         elif key == "alive":
-            self._gone, self._there = math.inf, self._clock()
+            self._losses.gone, self._there = math.inf, self._clock()
         elif key == "state":
             self._state, self._fed = json.loads(data) if sure else {}, not sure
         elif key == "result":
@@ -188,9 +191,8 @@ class Judge:
                 self._receive_feedback(server, message)
             case "joint_states" if self._state.get("measured") is not None:
                 measured = [math.nan if it is None else float(it) for it in self._state["measured"]]
-                if message.name != list(self._arm.manipulator.actuators) or repr(message.position.tolist()) != repr(
-                    measured
-                ):
+                told = message.name, message.position.tolist()
+                if repr(told) != repr((list(self._arm.manipulator.actuators), measured)):  # nan is not equal to itself
                     raise Wrong("joint_states are not what the daemon has measured")
             case "rosout" if len(message.msg) > LONGEST_WORDS or message.msg.startswith("a request failed"):
                 raise Wrong(f"on /rosout: {message.msg[:500]}")
@@ -206,14 +208,12 @@ class Judge:
             if key not in self.goals:
                 raise Wrong(f"a status tells of goal {uuid.hex()}, which was not accepted")
             goal = self.goals[key]
-            old, goal.status = goal.status, status
-            if old != status and (old, status) not in LEGAL and (old or status not in (*ACTIVE, Status.ABORTED)):
-                raise Wrong(f"goal {uuid.hex()} has come from status {old} to {status}")
+            changed = goal.step(status)
             if status is Status.CANCELING and not goal.canceled:
                 if uuid not in self._doubtful:
                     raise Wrong(f"goal {uuid.hex()} is canceling, and no cancel was accepted")
                 goal.canceled = True
-            if status in ENDS and old != status:
+            if changed and not goal.active:
                 self._check_end(goal)
         for goal in self._active():
             if goal.server == server and goal.uuid not in states and not self._opening:
@@ -232,14 +232,14 @@ class Judge:
             goal = self.goals[server, uuid]
             goal.canceled = True
             if not any(it.sure for it in self._ends[goal.id]):
-                self._owe(goal.id)
+                self.debts.owe(goal.id)
 
     def _receive_result(self, server: str, uuid: bytes, result: Result) -> None:
         """Each accepted goal has one result, and it is what the daemon has told."""
         key = server, uuid
         goal = self.goals.get(key)
         if result.status == Status.UNKNOWN:
-            if goal and key not in self._orphans and (goal.active or self._is_kept(goal)):
+            if goal and key not in self._orphans and (goal.active or goal.is_kept(self._clock())):
                 raise Wrong(f"{goal} is told to be unknown at {self._clock():.2f}")
             return
         if goal is None or goal.result not in (None, result):
@@ -278,13 +278,12 @@ class Judge:
         for goal in self._active() if there else ():
             if any(it.sure for it in self._ends[goal.id]):
                 raise Wrong(f"the daemon told that {goal.id} has ended, its client was not told")
-            if self._gone == math.inf and goal.id not in self.debts and now > goal.due + CANCELED_WITHIN:
+            if self._losses.gone == math.inf and goal.id not in self.debts and now > goal.due + CANCELED_WITHIN:
                 raise Wrong(f"{goal.id} exceeds its time, and is not canceled")
             if not self._fed and goal.status in ACTIVE and goal.id == self._state["goal"]:
                 raise Wrong(f"there is no feedback of {goal.id}")
-        for name, debt in self.debts.items() if self._gone == math.inf else ():
-            if now > max(debt.last, debt.began, self._there) + REPEATED_WITHIN * len(self.debts):
-                raise Wrong(f"the accepted cancel of {name} is not repeated; the goal has not ended")
+        if self._losses.gone == math.inf:
+            self.debts.check_time(self._there)
 
     def check_rest(self) -> None:
         """Checks what holds when nobody has asked for anything for a while, and the daemon has answered all."""
@@ -316,13 +315,13 @@ class Judge:
             elif ask.name.endswith(CANCEL):
                 own = [it.uuid for it in self.goals.values() if it.server == server]
                 self._doubtful |= {ask.uuid} if ask.uuid != ALL else set(own)
-                self._paid |= {identity(it) for it in self._doubtful}
+                self.debts.paid |= {identity(it) for it in self._doubtful}
         self.asks = Asks(self._clock)
-        self._gone, self._there = math.inf, self._clock()
+        self._losses.gone, self._there = math.inf, self._clock()
         for name, ends in self._ends.items():
             self._ends[name] = [it._replace(sure=False) for it in ends]
         self._state, self._fed, self._opening = {}, True, True
-        self._since |= dict.fromkeys([*(it.id for it in self._active()), *self.debts], self._clock())
+        self._losses.since |= dict.fromkeys([*(it.id for it in self._active()), *self.debts], self._clock())
 
     def _active(self) -> list[Goal]:
         return [it for it in self.goals.values() if it.active]
@@ -333,41 +332,17 @@ class Judge:
     def _is_late(self, goal: Goal) -> bool:
         return self._clock() >= self._due.get(goal.id, math.inf)
 
-    def _is_kept(self, goal: Goal) -> bool:
-        return self._clock() < goal.ended + KEPT and goal.later < MOST_LATER
-
-    def _owe(self, name: str) -> None:
-        self.debts.setdefault(name, Debt(self._clock()))
-
-    def _pay(self, name: str) -> None:
-        if self.debts.pop(name, None) is not None:
-            self._paid.add(name)
-
     def _receive_end(self, name: str, result: dict[str, Any], *, sure: bool) -> None:
         status, code = result.get("status"), result.get("code")
         if isinstance(status, str):
             told = Told(status, LOST if code is None else code, f"{status}: {result.get('message', '')}", sure)
             self._ends[name].append(told)
-            self._pay(name)
+            self.debts.pay(name)
 
     def _check_end(self, goal: Goal) -> None:
         """Only the daemon, or its absence, ends a goal."""
         goal.ended, goal.told = self._clock(), list(self._ends[goal.id])
         self.ended += 1
-        since = self._since.get(goal.id, -math.inf)
-        unknown = self._unknown.get(goal.id, -math.inf) > since + KNOWN_WITHIN
-        lost = unknown or self._clock() > max(self._gone, since) + GONE_AFTER
         allowed = {status_of(it.status, canceled=goal.canceled) for it in goal.told}
-        if goal.status not in allowed and not (goal.status is Status.ABORTED and lost):
+        if goal.status not in allowed and not (goal.status is Status.ABORTED and self._losses.may_be_lost(goal.id)):
             self._unexplained.append(goal)  # unless the node ends
-
-
-def status_of(word: str, *, canceled: bool) -> Status:
-    """Returns the status of a goal whose end the daemon tells by this word."""
-    if word == "succeeded":
-        return Status.SUCCEEDED
-    return Status.CANCELED if word == "canceled" and canceled else Status.ABORTED
-
-
-def points_of(payload: Mapping[str, Any]) -> list[Any]:
-    return [it.get("position") for it in payload.get("waypoints", ())]
