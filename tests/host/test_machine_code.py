@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -88,22 +90,35 @@ def test_a_temporary_folder_that_others_can_write_is_not_used(tmp_path, nowhere,
 
 
 KEPT = """
-import sys
+import os, sys
 import hyperbit.controller
+from numba import njit
+njit("i8(i8)")(lambda x: x)  # loads the compiler once, for all processes
 sys.path.insert(0, sys.argv[1])
-import kernels_of_a_test
-print(kernels_of_a_test.twice(4), sum(kernels_of_a_test.twice.stats.cache_hits.values()))
+for _ in sys.stdin:
+    if os.fork() == 0:
+        import kernels_of_a_test
+        print(kernels_of_a_test.twice(4), sum(kernels_of_a_test.twice.stats.cache_hits.values()), flush=True)
+        os._exit(0)
+    os.wait()
 """
 
 
-def kept_kernel(folder: Path, **more: str) -> tuple[str, str]:
-    """Runs the kernel of a test in another process; returns its result with the number of cache hits, and stderr."""
+@contextmanager
+def kernel(folder: Path, **more: str) -> Iterator[Callable[[], str]]:
+    """Yields a function that runs the kernel of a test in a new process; it returns the result and the cache hits."""
     if not (module := folder / "kernels_of_a_test.py").exists():
         module.write_text(KERNEL)
+    command, pipe = [sys.executable, "-c", KEPT, folder], subprocess.PIPE
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache"), **more}
-    done = subprocess.run([sys.executable, "-c", KEPT, folder], capture_output=True, text=True, env=environment)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip(), done.stderr
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, text=True, env=environment) as it:
+
+        def run() -> str:
+            print(file=it.stdin, flush=True)
+            return it.stdout.readline().strip()
+
+        yield run
+        assert it.communicate() == ("", None)
 
 
 READ_ONLY = """
@@ -117,22 +132,24 @@ tempfile.TemporaryFile = refuse
 
 
 def test_a_read_only_installation_uses_its_compiled_kernels(tmp_path):
-    assert kept_kernel(tmp_path, NUMBA_CACHE_DIR="") == ("8 0", "")
+    with kernel(tmp_path, NUMBA_CACHE_DIR="") as ran:
+        assert ran() == "8 0"
     (tmp_path / "sitecustomize.py").write_text(READ_ONLY)
     path = os.pathsep.join((str(tmp_path), str(ARM.parents[1] / ".package")))
     home = str(tmp_path / "home")
-    assert kept_kernel(tmp_path, NUMBA_CACHE_DIR="", PYTHONPATH=path, TMPDIR=home, XDG_CACHE_HOME=home) == ("8 1", "")
+    with kernel(tmp_path, NUMBA_CACHE_DIR="", PYTHONPATH=path, TMPDIR=home, XDG_CACHE_HOME=home) as ran:
+        assert ran() == "8 1"
 
 
-@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
-def test_a_damaged_file_is_compiled_and_kept_again(tmp_path, suffix):
-    assert kept_kernel(tmp_path) == ("8 0", "")
-    [file] = (tmp_path / "cache").rglob(f"*.{suffix}")
-    whole = file.read_bytes()
-    for damaged in (b"", whole[: len(whole) // 2], bytes(len(whole))):
-        file.write_bytes(damaged)
-        assert kept_kernel(tmp_path) == ("8 0", "")
-        assert kept_kernel(tmp_path) == ("8 1", "")
+def test_a_damaged_file_is_compiled_and_kept_again(tmp_path):
+    with kernel(tmp_path) as ran:
+        assert ran() == "8 0"
+        for suffix in ("nbi", "nbc"):
+            [file] = (tmp_path / "cache").rglob(f"*.{suffix}")
+            whole = file.read_bytes()
+            for damaged in (b"", whole[: len(whole) // 2], bytes(len(whole))):
+                file.write_bytes(damaged)
+                assert (ran(), ran()) == ("8 0", "8 1"), (suffix, len(damaged))
 
 
 def test_a_full_disk_is_told_once(capsys):
