@@ -1,11 +1,10 @@
-"""Goals that are wrong, put, sent at once or in a flood: each has one answer and one outcome."""
+"""Goals that are put, sent at once or in a flood: each has one answer and one outcome."""
 
 import itertools
 import json
 import threading
 import time
 from contextlib import ExitStack
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,53 +13,13 @@ import zenoh
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.planning.ledger_file import read
 from hyperbit.controller.refusals import codes
-from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.drivers.simulation.simulation import Simulation
 from tests.system.stack.observer import Observer
-from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT, tip
+from tests.system.stack.places import LEFT, MIDDLE, RIGHT, tip
 from tests.system.stack.system import System
 from tests.waiting import PATIENCE, eventually
 
 pytestmark = pytest.mark.buses("virtual")
-
-BAD = {
-    "no JSON": (b"{", Reason.NOT_JSON, "not JSON"),
-    "no UTF-8": (b"\xff", Reason.NOT_UTF8, "not UTF-8"),
-    "nothing": (b"", Reason.NOT_JSON, "not JSON"),
-    "unknown field": ({"waypoints": [], "velocity": 1}, Reason.INVALID_FIELDS, "velocity: unknown field"),
-    "surrogate": (b'{"\\ud800": 1}', Reason.INVALID_FIELDS, "unknown field"),
-    "NaN": (b'{"waypoints": [{"position": [NaN, 1]}]}', Reason.INVALID_FIELDS, "waypoints[0].position[0]: nan"),
-    "empty": ({"waypoints": []}, Reason.NO_WAYPOINTS, "empty"),
-    "spatial": ({"waypoints": [{"position": [1, 2, 3]}]}, Reason.WRONG_DIMENSION, "3 coordinates"),
-    "out of reach": ({"waypoints": [{"position": [9, 9]}]}, Reason.BEYOND_LENGTH, "out of reach"),
-    "long ago": ({"stamp": 1, "waypoints": [{"position": [1, 2]}]}, Reason.ARRIVED_TOO_LATE, "before it arrived"),
-    "large": (b" " * 10_000_000, Reason.TOO_LARGE, "10000000 bytes"),
-    "deep": (b"[" * 100_000, Reason.NOT_JSON, "not JSON"),
-    "running id": ({"id": "a", "waypoints": [{"position": [0.4, 2.9]}]}, Reason.ALREADY_RUNNING, "running already"),
-}
-
-
-def test_bad_goals_are_refused_and_disturb_nothing(client: Observer, system: System, stack: ExitStack) -> None:
-    client.goal(MIDDLE, LEFT, times=[0, HOUR], id="a")
-    session, key = stack.enter_context(system.session()), f"hyperbit/{system.name}/goal"
-    for name, (payload, reason, words) in BAD.items():
-        data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
-
-        def ask(data: bytes = data) -> dict[str, Any] | None:
-            for reply in session.get(key, payload=data, timeout=PATIENCE):  # a new session has none at first
-                answer: dict[str, Any] = json.loads(reply.ok.payload.to_bytes())
-                return None if answer["reason"] == "not-explained" else answer  # after a test with a flood
-            return None
-
-        answer = eventually(ask)
-        assert (answer["accepted"], answer["code"], answer["reason"]) == (False, reason.code, reason.value), name
-        assert words in answer["message"], name
-    late = [result for result in client.heard["result"] if result["status"] != "refused"]  # of puts of an earlier test
-    assert late == []
-    assert client.wait_now("executing")["goal"] == "a"
-    assert client.goal(RIGHT, LEFT, id="b")["accepted"]
-    assert client.result("b")["status"] == "succeeded"
-    assert client.result("a")["status"] == "replaced"
 
 
 def test_a_goal_can_be_put_and_its_refusal_is_published(

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from hyperbit.controller.arm.arm import Arm
-from hyperbit.controller.manipulator.frames import angle
 from hyperbit.controller.refusals import codes
 from hyperbit.drivers.simulation.simulation import Simulation
 from tests.system.stack.motions import Motions
@@ -43,35 +42,6 @@ def test_from_goal_to_the_tip(client: Observer, boards: Simulation, arm: Arm) ->
     assert all(f["error"] <= arm.tolerance for f in feedback)
     state = client.wait_now("ready")
     assert state["measured"] == state["commanded"] == boards.positions().astype(int).tolist()
-
-
-def test_a_pose_is_reached_in_its_orientation(client: Observer, boards: Simulation, arm: Arm) -> None:
-    manipulator = arm.manipulator
-    wanted = manipulator.tip(np.random.default_rng(1).integers(0, manipulator.states))
-    pose = {"position": wanted[:2, 3].tolist(), "orientation": angle(wanted)}
-    asked = {"waypoints": [pose], "tolerance": {"position": 0.005, "orientation": 0.03}, "id": "a"}
-    assert client.ask("plan", **asked)["waypoints"][0]["orientation_error"] <= 0.03
-    assert client.send("goal", **asked)["accepted"]
-    result = client.result("a")
-    assert (result["status"], result["code"]) == ("succeeded", codes.SUCCESSFUL)
-    reached = angle(manipulator.tip(manipulator.configuration(boards.positions().astype(np.uint8))))
-    assert result["orientation"] == pytest.approx(reached)
-    assert result["orientation_error"] == pytest.approx(abs(reached - angle(wanted)))
-    assert (result["orientation_error"] <= 0.03, result["error"] <= 0.005) == (True, True)
-    refused = client.ask("goal", **{**asked, "id": "b", "path_tolerance": 0.1})
-    assert (refused["accepted"], refused["code"]) == (False, codes.INVALID_GOAL)
-    assert "lines are followed by position only" in refused["message"]
-
-
-def test_a_waypoint_that_is_a_configuration(client: Observer, boards: Simulation, arm: Arm) -> None:
-    drawn = np.random.default_rng(2).integers(0, arm.manipulator.states)
-    digits = "".join(map(str, drawn))
-    points = [{"t": 0.0, "position": LEFT}, {"t": 0.5, "configuration": digits}]
-    assert client.ask("plan", waypoints=points)["waypoints"][-1]["configuration"] == digits
-    assert client.send("goal", waypoints=points, id="a")["accepted"]
-    assert client.result("a")["status"] == "succeeded"
-    assert client.wait_now("ready")["configuration"] == digits
-    assert boards.positions().astype(int).tolist() == arm.manipulator.actuator_states(drawn).tolist()
 
 
 def test_waypoints_are_not_begun_before_their_times(client: Observer, arm: Arm, motions: Motions) -> None:
@@ -119,58 +89,3 @@ def test_stop_refuse_reset_go(client: Observer, boards: Simulation, motions: Mot
     assert motions.still()
     client.move(LEFT)
     assert client.results("b") == []
-
-
-def test_a_plan_moves_nothing(client: Observer, arm: Arm, motions: Motions) -> None:
-    client.move(LEFT)
-    motions.clear()
-    answer = client.ask("plan", waypoints=[{"t": 1.0, "position": MIDDLE}, {"t": 2.0, "position": RIGHT}])
-    assert answer["accepted"], answer
-    points = answer["waypoints"]
-    assert [(point["t"], len(point["configuration"])) for point in points] == [(1.0, 16), (2.0, 16)]
-    assert all(point["error"] <= arm.tolerance for point in points)
-    assert answer["switches"] == sum(point["switches"] for point in points) > 0
-    refused = client.ask("plan", waypoints=[{"position": [9, 9]}])
-    assert (refused["accepted"], refused["code"]) == (False, codes.GOAL_TOLERANCE_VIOLATED)
-    client.wait_now("ready")
-    eventually(lambda: motions.still() and motions.identifiers)  # it hears heartbeats, and no SYNC
-    assert motions.still()
-
-
-INRUSH = 2
-
-
-@pytest.mark.arm(inrush=INRUSH)
-def test_with_an_inrush_bound_never_more_switch_at_once_and_stages_are_told_as_they_are_on_the_bus(
-    client: Observer, boards: Simulation, arm: Arm, motions: Motions
-) -> None:
-    """Takes 7 s, as its goals have waypoints at 2 s and 4 s."""
-    client.move(LEFT)
-    for goal, place in (("a", MIDDLE), ("b", RIGHT)):
-        before = boards.switches().sum()
-        assert client.goal(place, LEFT, times=[0.0, HOUR], id=goal)["accepted"]
-        eventually(lambda before=before: boards.switches().sum() > before)
-    assert client.goal(MIDDLE, id="c")["accepted"]
-    assert [client.result(name)["status"] for name in "abc"] == ["replaced", "replaced", "succeeded"]
-    assert client.wait_now("ready")["goal"] is None
-    motions.clear()
-    rows, times = [motions.outputs], [2.0, 4.0, 6.0]
-    points = [{"t": t * SLOWNESS, "position": place} for t, place in zip(times, (RIGHT, LEFT, MIDDLE), strict=True)]
-    for waypoint in client.ask("plan", waypoints=points)["waypoints"]:
-        assert sum(map(len, waypoint["stages"])) == waypoint["switches"]
-        assert max(map(len, waypoint["stages"])) <= INRUSH
-    client.move(RIGHT, LEFT, MIDDLE, goal="d", times=times)
-    assert np.linalg.norm(tip(boards, arm) - MIDDLE) <= arm.tolerance
-    motions.read()
-    counts = np.abs(np.diff(np.array(rows + motions.rows, dtype=int), axis=0)).sum(axis=1)
-    assert (counts.max() <= INRUSH, len(counts) > 5) == (True, True)
-    feedback = client.last_feedback("d", 2)
-    assert len(feedback) == 3
-    assert sum(it["stages"] for it in feedback) == len(counts)
-    assert all(it["excursion"] is None or it["excursion"] >= 0 for it in feedback)
-    answer = client.goal(LEFT, RIGHT, times=[0.0, 0.07], id="e")
-    assert (answer["accepted"], answer["code"]) == (False, codes.INVALID_GOAL)
-    assert answer["message"].startswith(f"waypoints[0] to waypoints[1]: {0.07 * SLOWNESS:g} s, ")
-    assert "switches, at most 2 at once, need" in answer["message"]
-    described = client.ask("arm")
-    assert (described["inrush"], described["rest_time"]) == (INRUSH, 0.0)

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from hyperbit.controller.arm.arm import Arm
-from hyperbit.controller.network.client import Client
 from hyperbit.drivers.simulation.simulation import Simulation
 from tests.system.stack.motions import Motions
 from tests.system.stack.observer import Observer
 from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT, tip
-from tests.system.stack.publisher import BAD, FOLLOWING, START, STOPPED, Publisher
+from tests.system.stack.publisher import START, STOPPED, Publisher
 from tests.system.stack.system import System
-from tests.waiting import PATIENCE, SLOWNESS, eventually
+from tests.waiting import SLOWNESS, eventually
 
 
 @pytest.fixture
@@ -71,28 +70,6 @@ def _near(client: Observer, goal: tuple[float, float]) -> bool:
     return tip is not None and bool(np.linalg.norm(np.subtract(tip["position"], goal)) < 0.02)
 
 
-def test_bad_setpoints_and_those_out_of_reach_move_nothing(
-    client: Observer, publisher: Publisher, motions: Motions
-) -> None:
-    motions.clear()
-    refused = publisher.status()["refused"]
-
-    def told() -> bool:
-        for payload in BAD:
-            publisher.put(payload)
-        return bool(publisher.status()["refused"] > refused)
-
-    def said() -> bool:
-        publisher.put({"position": (9.0, 9.0)})
-        return any("out of reach" in state["reason"] for state in client.heard["state"])
-
-    eventually(told)
-    assert client.wait_now("ready")["mode"] == "ready"
-    eventually(said)
-    client.wait_now("ready")
-    assert motions.still()
-
-
 def test_a_stream_replaces_a_goal_and_a_goal_the_stream(
     client: Observer, publisher: Publisher, boards: Simulation, arm: Arm
 ) -> None:
@@ -118,41 +95,6 @@ def test_a_stream_replaces_a_goal_and_a_goal_the_stream(
     assert [len(client.results(goal)) for goal in client.accepted] == [1] * len(client.accepted)
 
 
-def test_cancel_holds_while_the_stream_goes_on_and_a_fresh_one_is_followed(
-    client: Observer, publisher: Publisher, motions: Motions
-) -> None:
-    def cancel(_: int) -> None:
-        assert client.ask("cancel")["message"].startswith("canceled")  # perhaps while actuators travel
-        motions.clear()
-        client.wait_now("ready", "following was canceled")
-        received = publisher.status()["received"]
-        assert publisher.status()["received"] > received, "the stream goes on"
-        assert client.state["mode"] == "ready"
-        assert motions.still()
-
-    publisher.throughout(cancel)
-    with publisher.streaming():
-        client.wait_now("executing", FOLLOWING)
-    client.wait_now("ready", "has stopped")
-
-
-def test_a_setpoint_that_came_before_a_cancel_is_not_followed_after_it(
-    client: Observer, system: System, motions: Motions, stack: ExitStack
-) -> None:
-    session = stack.enter_context(system.session())  # of both, so that they come in order
-    publisher, canceling = Publisher(session, client, system.name), Client(session, system.name)
-    began, before = time.time(), publisher.status()["received"]
-    for k in range(1, 4):
-        publisher.put({"position": LEFT if k % 2 else RIGHT})
-        time.sleep(0.01 * (k - 1))  # into the search, on a fast machine
-        canceling.request("cancel", timeout=PATIENCE)
-        motions.clear()  # a search may still switch before the cancel, but not after it
-        eventually(lambda k=k: publisher.status()["received"] >= before + k and publisher.status()["rate"] == 0)
-        assert motions.still()
-        client.streams.append((began, time.time()))
-    client.wait_now("ready")
-
-
 def test_nothing_is_switched_after_a_stop(client: Observer, publisher: Publisher, motions: Motions) -> None:
     def stop(_: int) -> None:
         assert client.ask("stop")["accepted"]
@@ -165,20 +107,3 @@ def test_nothing_is_switched_after_a_stop(client: Observer, publisher: Publisher
         assert motions.still()
 
     publisher.throughout(stop)
-
-
-def test_a_new_goal_ends_a_stream_that_goes_on_and_cancel_ends_the_goal(
-    client: Observer, publisher: Publisher, motions: Motions
-) -> None:
-    def cancel(attempt: int) -> None:
-        goal = f"a{attempt}"
-        assert client.goal(MIDDLE, LEFT, times=[0, HOUR], id=goal)["accepted"]
-        eventually(lambda: client.feedback(goal) or client.results(goal))  # the rest of the stream may replace the goal
-        assert "canceled" in client.ask("cancel")["message"]
-        assert client.result(goal)["status"] == "canceled"
-        motions.clear()
-        client.wait_now("ready", "canceled")
-        publisher.status()
-        assert motions.still()
-
-    publisher.throughout(cancel)

@@ -1,23 +1,18 @@
-"""Goals along lines, with locked actuators, with a measured tip, and of an arm with other modules."""
+"""Goals along lines, with a measured tip, and of an arm with other modules."""
 
 import json
 import time
 from contextlib import ExitStack
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
 
 from hyperbit.controller.arm.arm import Arm
-from hyperbit.controller.manipulator.notation import format_configuration
-from hyperbit.controller.network.client import Message
-from hyperbit.controller.refusals import codes
 from hyperbit.drivers.simulation.simulation import Simulation
-from tests.system.stack.arms import QUICK
 from tests.system.stack.motions import Motions
 from tests.system.stack.observer import Observer
-from tests.system.stack.places import LEFT, MIDDLE, RIGHT, first_to_switch, tip
+from tests.system.stack.places import LEFT, MIDDLE, RIGHT, tip
 from tests.system.stack.system import System
 from tests.waiting import SLOWNESS, eventually
 
@@ -63,82 +58,6 @@ def test_the_tip_stays_by_the_lines_and_little_switches(
     assert len(motions.syncs) - len(motions.moved_at) <= len(POINTS), "what is held is not commanded again"
 
 
-def test_lines_that_cannot_be_followed_are_refused_in_words(client: Observer, motions: Motions) -> None:
-    short = f"{0.3 * SLOWNESS:g} s for a line of 0.15 within path_tolerance"
-    ends = (-2.6, 1.5), (2.6, 1.5)  # the straight line between them is out of reach
-    for points, last, tolerance, code, words in (
-        ((MIDDLE, LEFT), 0.3, 0.01, codes.INVALID_GOAL, f"waypoints[0] to waypoints[1]: {short}"),
-        (ends, 60.0, 0.05, codes.GOAL_TOLERANCE_VIOLATED, "waypoints[0] to waypoints[1]: ("),
-        ((MIDDLE, LEFT), 60.0, 0, codes.INVALID_GOAL, "path_tolerance: "),
-    ):
-        answer = client.goal(*points, times=[0.0, last], id="a", path_tolerance=tolerance)
-        assert (answer["accepted"], answer["code"]) == (False, code)
-        assert answer["message"].startswith(words), answer
-    assert motions.still()
-
-
-NEAR = (0.3, 2.8)
-LOCKING = pytest.mark.arm(on_stuck="continue", boards=QUICK)
-
-
-def locked(client: Observer, actuators: list[Any]) -> Message:
-    """Waits for a state of a ready arm with exactly these locked actuators; returns it."""
-    return eventually(lambda: s if (s := client.wait_now("ready"))["degraded"] == actuators else None)
-
-
-@LOCKING
-def test_goals_go_on_without_a_stuck_actuator_and_with_it_when_it_is_repaired(
-    client: Observer, boards: Simulation, arm: Arm
-) -> None:
-    client.move(MIDDLE)
-    label, state_now = first_to_switch(client, arm, RIGHT)
-    k = arm.manipulator.actuators.index(label)
-    boards.fault("stick", label, state_now)
-    before = len(client.heard["state"])
-    client.goal(RIGHT, id="a")
-    assert (client.result("a")["status"], label in client.result("a")["message"]) == ("aborted", True)
-    client.wait_for("fault", label, after=before)
-    state = client.wait_now("ready")
-    assert state["degraded"] == [{"actuator": label, "state": state_now}]
-    assert [(fault["code"], fault["source"]) for fault in state["faults"]] == [("degraded", label)]
-    assert state["measured"] == boards.positions().astype(int).tolist()
-    tried = int(boards.switches()[k])
-    for number, goal in enumerate((LEFT, MIDDLE, NEAR, LEFT)):
-        client.move(goal, goal=f"b{number}")
-        assert np.linalg.norm(tip(boards, arm) - goal) <= arm.tolerance
-        state = client.wait_now("ready")
-        assert state["commanded"][k] == state["measured"][k] == state_now
-        assert boards.switches()[k] == tried + 1, "the first goal takes its output back to where it is stuck"
-    refused = client.goal(RIGHT)
-    assert (refused["code"], "out of reach" in refused["message"]) == (codes.GOAL_TOLERANCE_VIOLATED, True)
-    boards.fault("release", label)
-    assert client.ask("degrade", actuator=label, state=None)["accepted"]
-    assert locked(client, [])["faults"] == []
-    client.move(RIGHT, goal="c")
-
-
-@LOCKING
-def test_an_actuator_that_an_operator_locks_is_left_as_it_is_and_nothing_moves_by_that(
-    client: Observer, boards: Simulation, arm: Arm
-) -> None:
-    client.move(MIDDLE)
-    label, state_now = first_to_switch(client, arm, RIGHT)
-    k, before = arm.manipulator.actuators.index(label), boards.switches().tolist()
-    malformed = client.ask("degrade")
-    assert (malformed["accepted"], malformed["message"][:9]) == (False, "actuator:")
-    refused = client.ask("degrade", actuator=label, state=1 - state_now)
-    assert (refused["accepted"], f"the end-stop of {label} reads" in refused["message"]) == (False, True)
-    assert client.ask("degrade", actuator=label, state=state_now)["accepted"]
-    locked(client, [{"actuator": label, "state": state_now}])
-    assert boards.switches().tolist() == before
-    client.move(LEFT, NEAR, goal="b")
-    assert boards.switches()[k] == before[k]
-    jogged = client.ask("jog", actuators={label: ("extended", "contracted")[state_now]})
-    assert (jogged["accepted"], label in jogged["message"]) == (False, True)
-    assert client.ask("degrade", actuator=label, state=None)["accepted"]
-    locked(client, [])
-
-
 BIAS = np.array([0.012, -0.009])
 
 
@@ -182,29 +101,3 @@ def test_goals_in_space_are_reached_by_the_boards(client: Observer, boards: Simu
         assert np.linalg.norm(at[:3, 3] - goal) <= arm.tolerance
         assert result["position"] == pytest.approx(at[:3, 3])
     assert client.ask("arm")["frames"] == [module.frames.tolist() for module in m.modules]
-
-
-@pytest.mark.arm("mixed")
-def test_single_actuators_bring_the_arm_into_a_state_without_a_name_and_out_of_it(
-    client: Observer, boards: Simulation, arm: Arm
-) -> None:
-    home = format_configuration(arm.manipulator, np.zeros(len(arm.manipulator.modules), dtype=np.int64))
-
-    def done(key: str, **payload: Any) -> None:
-        answer = client.send(key, **payload)
-        assert answer["accepted"], answer
-        assert client.result(answer["id"])["status"] == "succeeded"
-
-    done("goal", waypoints=[{"configuration": home}], id="home")
-    unused = dict.fromkeys(("1.1", "1.2", "1.3"), "extended")  # the eighth code of a motor of five positions
-    done("jog", actuators=unused)
-    assert boards.positions()[:3].tolist() == [1, 1, 1]
-    eventually(lambda: "unknown-state" in client.codes)
-    assert (client.state["configuration"], client.state["tip"]) == (None, None)
-    refused = client.goal((0.0, 0.0, 0.9), id="a")
-    assert (refused["accepted"], "is no configuration" in refused["message"]) == (False, True)
-    done("jog", actuators=dict.fromkeys(unused, "contracted"))
-    eventually(lambda: not client.codes)
-    assert client.wait_now("ready")["configuration"] == home
-    for payload in ({}, {"actuators": {}}, {"actuators": {"9.1": "extended"}}, {"actuators": {"1.1": 1}}):
-        assert client.client.request("jog", payload)["accepted"] is False

@@ -109,16 +109,6 @@ def test_a_full_disk_is_told_and_the_arm_goes_on(system: System, disk: Path) -> 
 
 
 @pytest.mark.fresh
-def test_a_ledger_that_cannot_be_written_stops_no_arm(system: System) -> None:
-    (system.folder / "file").write_text("in the way")
-    system.ledger = system.folder / "file" / "ledger.sqlite"
-    system.start()
-    with system.client() as client:
-        client.move(MIDDLE)
-        eventually(lambda: "cannot be written" in client.diagnosed()["ledger"])
-
-
-@pytest.mark.fresh
 @pytest.mark.parametrize("damaged", ["*.sqlite*", "*.switches"])
 def test_of_ledger_and_journal_one_may_be_damaged_and_no_switch_is_forgotten(system: System, damaged: str) -> None:
     system.start()
