@@ -2,6 +2,7 @@
 
 import gc
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,10 +13,12 @@ import yaml
 from hypothesis import HealthCheck, settings
 
 from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.host.kernel import kernels
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.cache import load_or_map
 from hyperbit.controller.workspace.densities import Densities
+from tests.shared import shared_folder
 from tests.waiting import SLOWNESS
 
 # The same examples on every run, and no limit of time, which a busy machine would miss.
@@ -34,10 +37,19 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--bus", choices=BUSES, help="the only bus for tests that run on several")
 
 
-def pytest_collection_finish() -> None:
-    """Keeps what has been imported and collected out of garbage collections: they took a twentieth of the time."""
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Keeps what has been imported and collected out of garbage collections: they took a twentieth of the time.
+
+    All processes of the tests share the loaded kernels, a folder, and the process that forks commands.
+    """
+    if session.config.option.forks:
+        for kernel in kernels:
+            kernel.load()
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
+    shared_folder()
+    if session.config.option.forks and (processes := sys.modules.get("tests.system.stack.processes")):
+        processes.commands()
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -82,8 +94,8 @@ def manipulator(arm: Arm) -> Manipulator:
 
 
 @pytest.fixture(scope="session")
-def densities(arm: Arm, tmp_path_factory: pytest.TempPathFactory) -> Densities:
-    return load_or_map(arm.manipulator, 0.02, arm.level_pixels, tmp_path_factory.mktemp("densities"))
+def densities(arm: Arm) -> Densities:
+    return load_or_map(arm.manipulator, 0.02, arm.level_pixels, shared_folder() / "cache" / "hyperbit")
 
 
 @pytest.fixture(scope="session")

@@ -10,15 +10,19 @@ import pytest
 import yaml
 
 from hyperbit.controller import cli
-from hyperbit.controller.commands.connection import connected
-from hyperbit.controller.commands.operate import demo
 from hyperbit.controller.host.signals import ENDING
 from hyperbit.drivers.canopen.tools import session
+from hyperbit.drivers.simulation.dictionary import EDS
 from tests.endpoints import free_endpoint
 from tests.gateway.conftest import Gateway
+from tests.keys import DEPLOY
+from tests.recorder.samples import written
+from tests.shared import shared_folder
+from tests.system.stack import daemon
 
 Told = Callable[..., str]
-ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
+SHORT = "name: short\nmodules: [{type: vgt, count: 5, width: 0.2, lengths: [0.2, 0.25]}]\ntolerance: {position: 0.01}\n"
+ARM = DEPLOY / "planar16.yaml"
 
 
 @pytest.fixture
@@ -52,15 +56,9 @@ def told(hyperbit) -> Told:
     return run
 
 
-@pytest.fixture(scope="session")
-def cache(tmp_path_factory):
-    """The folder in which all commands keep densities."""
-    return tmp_path_factory.mktemp("cache")
-
-
 @pytest.fixture
-def own_folders(monkeypatch, tmp_path, cache):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+def own_folders(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(shared_folder() / "cache"))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
 
@@ -82,16 +80,39 @@ def spatial(tmp_path):
     return str(file)
 
 
+@pytest.fixture
+def folder(tmp_path: Path, own_folders: None, spatial: str, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working directory: arms, an EDS, and a recording without a description of its arm."""
+    monkeypatch.chdir(tmp_path)
+    for name, target in (("planar16.yaml", DEPLOY / "planar16.yaml"), ("deploy", DEPLOY), ("board.eds", EDS)):
+        (tmp_path / name).symlink_to(target)
+    (tmp_path / "short.yaml").write_text(SHORT)
+    written(tmp_path / "a.mcap").close()
+    return tmp_path
+
+
+@pytest.fixture
+def completed(hyperbit, monkeypatch):
+    """Returns what bash is offered for the last of these words."""
+
+    def complete(words: str) -> list[str]:
+        monkeypatch.chdir(DEPLOY.parent)
+        monkeypatch.setattr(cli.app, "_add_completion", True)
+        monkeypatch.setenv("_HYPERBIT_COMPLETE", "complete_bash")
+        monkeypatch.setenv("COMP_WORDS", f"hyperbit {words}")
+        monkeypatch.setenv("COMP_CWORD", str(len(words.split())))
+        code, out, err = hyperbit()
+        assert (code, err) == (0, "")
+        return out.split()
+
+    return complete
+
+
 @pytest.fixture(scope="session")
-def endpoint(tmp_path_factory, cache):
-    """Endpoint of a ready daemon with simulated boards, in its own process; each test leaves it ready."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(cache))
-        started = demo.started(ARM, tmp_path_factory.mktemp("daemon"))
-        with started as (_, endpoint):
-            with connected("planar16", endpoint, None) as client:
-                demo.wait_until_ready(client)
-            yield endpoint
+def endpoint(tmp_path_factory):
+    """Endpoint of a daemon; each test leaves it ready."""
+    with daemon.running(ARM, tmp_path_factory.mktemp("daemon")) as endpoint:
+        yield endpoint
 
 
 @pytest.fixture

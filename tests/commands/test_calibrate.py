@@ -33,7 +33,7 @@ def files(request, tmp_path):
     return str(tmp_path / "arm.yaml"), str(tmp_path / "samples.csv")
 
 
-@pytest.mark.parametrize("files", ["mixed", "platforms"], indirect=True)
+@pytest.mark.parametrize("files", ["platforms"], indirect=True)
 def test_the_new_file_is_an_arm_that_meets_the_samples(hyperbit, files, tmp_path):
     arm, samples = files
     new = tmp_path / "new.yaml"

@@ -14,8 +14,7 @@ from msgspec import Struct
 from hyperbit.controller.armfile.documents import read_yaml
 from hyperbit.controller.armfile.patience import patient_copy
 from hyperbit.controller.armfile.settings import ArmSettings
-from hyperbit.controller.commands.connection import connected
-from hyperbit.controller.commands.operate import demo
+from tests.system.stack import daemon
 
 FILE = Path(__file__).with_name("every_field.yaml")
 JOINT = "x,y,th\n0.03,0.09,-0.3\n0.01,0.09,-0.1\n-0.01,0.09,0.1\n-0.03,0.09,0.3\n"
@@ -89,9 +88,7 @@ def test_commands_without_a_daemon(ran: Callable[..., str], arm: Path, tmp_path:
 
 
 def test_commands_of_a_running_arm(ran: Callable[..., str], arm: Path, tmp_path: Path) -> None:
-    with demo.started(arm, tmp_path) as (_, endpoint):
-        with connected("every", endpoint, None) as client:
-            demo.wait_until_ready(client)
+    with daemon.running(arm, tmp_path) as endpoint:
         for words in (
             "fleet",
             "send every --configuration 010101000",

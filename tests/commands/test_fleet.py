@@ -16,10 +16,10 @@ import pytest
 import zenoh
 from rich.console import Console
 
-from hyperbit.controller.commands.connection import connected
 from hyperbit.controller.commands.use import fleet
 from hyperbit.controller.commands.use.watch import View, line_of, progress_of
 from hyperbit.controller.network.fleet import ArmAddress, ArmStatus, alive
+from tests import told
 from tests.endpoints import free_endpoint
 from tests.network.played import PlayedArm, Router
 from tests.waiting import PATIENCE, eventually
@@ -160,23 +160,6 @@ def test_stop_all_names_each_arm(plant, hyperbit, monkeypatch):
     assert (code, out, err.startswith("cell1/a: no answer: ")) == (1, "a: stopped\n", True)
 
 
-def test_watch_prints_changes_as_lines_in_a_pipe(hyperbit, endpoint):
-    there = ("planar16", "--connect", endpoint)
-    with command("watch", *there, stdout=subprocess.PIPE) as watching:
-        assert watching.stdout is not None
-        first = watching.stdout.readline()
-        hyperbit("stop", *there)
-        second = watching.stdout.readline()
-        hyperbit("reset", *there)
-        watching.send_signal(signal.SIGINT)
-        assert watching.wait(PATIENCE) == 0
-    with connected("planar16", endpoint, None) as client:
-        eventually(lambda: client.next_message("state")["mode"] == "ready")
-    assert " ready (simulated): " in first
-    assert " stopped (simulated): " in second
-    assert "; tip (" in second
-
-
 def test_a_fault_that_is_the_reason_of_the_mode_is_printed_once():
     arm = ArmStatus(HERE, None, STATE, 0.0, None, None, is_new=False)
     stuck = "stuck: actuator 2.1 did not move"
@@ -205,14 +188,12 @@ def shown(labels: list[str], diagnostics: dict | None = None) -> str:
         return console.export_text()
 
 
-def test_watch_separates_the_actuators_of_modules_and_shows_whole_numbers(endpoint):
+def test_watch_separates_the_actuators_of_modules_and_shows_whole_numbers():
     assert "│ ▯▮ ?▮ " in shown(["1.1", "1.2", "2.left", "2.right"])
     assert "│ ▯▮?▮ " in shown([])
     assert "simulated" not in shown([])
-    with connected("planar16", endpoint, None) as client:
-        diagnostics = client.next_message("diagnostics")
-    told = shown([], {**diagnostics, "loop": {**diagnostics["loop"], "overruns": 3.0}})
-    assert ", 3 overruns" in told
+    diagnostics = told.published()["diagnostics"]
+    assert ", 3 overruns" in shown([], {**diagnostics, "loop": {**diagnostics["loop"], "overruns": 3.0}})
 
 
 # Three arms that publish thousands of states a second, until their standard input ends.
@@ -235,7 +216,7 @@ with zenoh.open(session.configuration("peer", listen=sys.argv[1])) as opened:
 
 def test_states_that_arrive_at_the_end_of_a_list_cause_no_message():
     endpoint = free_endpoint()
-    lists = "from hyperbit.controller.commands.use.fleet import fleet\nfor _ in range(5): fleet(connect='{}')"
+    lists = "from hyperbit.controller.commands.use.fleet import fleet\nfor _ in range(3): fleet(connect='{}')"
     with subprocess.Popen(
         [sys.executable, "-c", ARMS, endpoint], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as arms:

@@ -4,16 +4,10 @@ from __future__ import annotations
 
 import errno
 import json
-import os
-import signal
-import subprocess
-import sys
 
 import pytest
 
-from hyperbit.controller import cli
 from hyperbit.controller.commands.common import refusal
-from hyperbit.controller.commands.connection import connected
 from hyperbit.controller.commands.operate import demo
 from hyperbit.controller.commands.use import halt
 from hyperbit.controller.commands.use.send import cancel_goal, counted
@@ -23,9 +17,7 @@ from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.drivers.simulation.fault_commands import VERBS, usage
 from hyperbit.drivers.simulation.variants import VARIANTS
-from tests.commands.conftest import ARM
 from tests.gateway.conftest import NO_ACTUATOR
-from tests.waiting import PATIENCE
 
 
 @pytest.mark.parametrize(
@@ -107,34 +99,6 @@ def test_a_halt_has_a_line_for_each_arm(hyperbit, tmp_path, monkeypatch):
     assert "c.sock: no executor answers (Connection refused)" in err
 
 
-def test_send_takes_an_angle_and_reports_its_error(hyperbit, endpoint):
-    code, out, err = hyperbit("send", "planar16", "--to", "0.55,2.9,0.3", "--connect", endpoint, "--json")
-    result = json.loads(out.splitlines()[-1])
-    assert (code, err) == (0, "")
-    assert result["orientation"] == pytest.approx(0.3, abs=0.05)
-    assert result["orientation_error"] == pytest.approx(abs(result["orientation"] - 0.3))
-
-
-def test_an_interrupt_cancels_the_goal_that_was_sent(endpoint, tmp_path):
-    (tmp_path / "goal.csv").write_text("x,y,t\n0.5,2.8,0\n0.5,2.8,300\n")
-    words = ["send", "planar16", str(tmp_path / "goal.csv"), "--connect", endpoint]
-    with subprocess.Popen(
-        [sys.executable, "-m", "hyperbit", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        env={**os.environ, "PYTHONUNBUFFERED": "1"},
-        text=True,
-    ) as sending:
-        assert sending.stdout is not None
-        assert sending.stdout.readline()  # the daemon's answer: the goal is accepted
-        sending.send_signal(signal.SIGINT)
-        out, err = sending.communicate(timeout=PATIENCE)
-    assert (sending.returncode, err.startswith("interrupted: canceling goal ")) == (130, True)
-    assert out.endswith(": canceled\n")
-    with connected("planar16", endpoint, None) as client:
-        demo.wait_until_ready(client)
-
-
 def test_an_interrupt_cancels_no_goal_of_others(capsys):
     class Answering:
         def request(self, key, payload):
@@ -167,7 +131,6 @@ FILE = "deploy/planar16.yaml"
         ("stop --js", "--json"),
         ("send --path", "--path-tolerance"),
         ("watch deploy/planar", FILE),
-        ("watch --connect HERE pl", "planar16"),
         ("watch --connect tcp/127.0.0.1:1 pl", ""),
         ("check deploy/platform", "deploy/platform8.yaml"),
         (f"jog {FILE} 5.", "5.left= 5.diagonal= 5.right="),
@@ -176,16 +139,7 @@ FILE = "deploy/planar16.yaml"
         (f"lock {FILE} 5.left =", "contracted extended free"),  # bash divides words at =
         (f"lock {FILE} 5.left = ex", "extended"),
         ("jog no-such-file.yaml 5.", ""),
-        ("jog --connect HERE planar16 16.", "16.left= 16.diagonal= 16.right="),
     ],
 )
-def test_bash_completes_the_last_word(hyperbit, request, monkeypatch, words, found):
-    if "HERE" in words:
-        words = words.replace("HERE", request.getfixturevalue("endpoint"))
-    monkeypatch.chdir(ARM.parents[1])
-    monkeypatch.setenv("_HYPERBIT_COMPLETE", "complete_bash")
-    monkeypatch.setenv("COMP_WORDS", f"hyperbit {words}")
-    monkeypatch.setenv("COMP_CWORD", str(len(words.split())))
-    monkeypatch.setattr(cli.app, "_add_completion", True)
-    code, out, err = hyperbit()
-    assert (code, out.split(), err) == (0, found.split(), "")
+def test_bash_completes_the_last_word(completed, words, found):
+    assert completed(words) == found.split()

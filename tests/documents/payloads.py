@@ -13,8 +13,8 @@ from unittest import mock
 import yaml
 
 from hyperbit.controller.commands.connection import connected
-from hyperbit.controller.commands.operate import demo
 from tests.documents.page import ROOT
+from tests.system.stack import daemon
 
 WAIT = 60.0  # [s] for one message
 WAYPOINT = {"position": [0.55, 2.9]}
@@ -29,10 +29,9 @@ def payloads() -> dict[str, set[str]]:
         file.write_text(yaml.safe_dump({**settings, "tracker": {"noise": 0.001, "clamp": 0.01}}))
         with (
             mock.patch.dict(os.environ, XDG_STATE_HOME=folder),
-            demo.started(file, Path(folder)) as (process, endpoint),
+            daemon.running(file, Path(folder)) as endpoint,
             connected("planar16", endpoint, None) as client,
         ):
-            demo.wait_until_ready(client, process.poll)
             news: dict[str, queue.SimpleQueue[dict[str, Any]]] = {}
             subscribers = []
             for key in ("state", "diagnostics"):

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hyperbit.controller.commands.connection import connected
-from hyperbit.controller.commands.operate import demo
+from tests.system.stack import daemon
 
 HERE = Path(__file__).parent
 
@@ -50,9 +49,7 @@ def test_an_example_runs(
 def test_the_example_that_sends_a_goal_to_a_daemon(
     arm_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with demo.started(arm_file, tmp_path) as (daemon, endpoint):
-        with connected("planar16", endpoint, None) as client:
-            demo.wait_until_ready(client, daemon.poll)
+    with daemon.running(arm_file, tmp_path) as endpoint:
         monkeypatch.setattr(sys, "argv", ["10_send_goal.py", endpoint])
         runpy.run_path(str(HERE / "10_send_goal.py"), run_name="__main__")
     printed = capsys.readouterr().out

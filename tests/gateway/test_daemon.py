@@ -17,6 +17,7 @@ from hyperbit.controller.planning.ledger_file import read
 from tests.system.stack.processes import Process, commands
 from tests.waiting import PATIENCE, eventually
 
+pytestmark = pytest.mark.real_time
 HOUR = 3600.0
 FIRST, SECOND = "4646676700771206", "0000000000000001"
 Heard = list[dict[str, Any]]

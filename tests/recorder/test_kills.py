@@ -76,6 +76,7 @@ def noted(path: Path) -> list[int]:
 
 
 @pytest.mark.timeout(600)
+@pytest.mark.real_time
 def test_a_killed_recorder_loses_at_most_a_second(daemon: str, tmp_path: Path) -> None:
     losses, draw = [], random.Random(5)
     for k in range(ROUNDS):

@@ -18,7 +18,7 @@ from tests.ros2.kills import GOES_ON, HOUR, kill
 from tests.ros2.processes import PATIENCE, System
 from tests.waiting import eventually
 
-pytestmark = pytest.mark.timeout(900)
+pytestmark = [pytest.mark.timeout(900), pytest.mark.real_time]
 AGAIN = 2.0  # [s]; a message may come before the subscriber is known
 STAMPED, TRIGGER = "geometry_msgs/msg/PoseStamped", "std_srvs/srv/Trigger"
 

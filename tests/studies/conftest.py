@@ -11,7 +11,7 @@ from distributed import Client
 
 import hyperbit as hb
 from hyperbit.controller.studies.workers import local_workers
-from tests.commands.conftest import cache, hyperbit, own_folders  # noqa: F401
+from tests.commands.conftest import hyperbit, own_folders  # noqa: F401
 from tests.waiting import PATIENCE
 
 ARM = str(Path(__file__).parents[2] / "deploy" / "planar16.yaml")

@@ -13,14 +13,11 @@ from hyperbit.drivers.simulation.simulation import Simulation
 from tests import vcan
 from tests.conftest import buses_of
 from tests.emulated import Interface
-from tests.system.stack import (
-    arms,
-    patience,  # noqa: F401
-)
+from tests.system.stack import patience  # noqa: F401
 from tests.system.stack.lives import Lives
 from tests.system.stack.motions import Listener, Motions
 from tests.system.stack.observer import Observer
-from tests.system.stack.processes import Nursery
+from tests.system.stack.processes import nursery
 from tests.system.stack.system import System, settled
 
 KINDS = {"virtual": "emulated", "socketcan": "socketcan"}  # of buses, by the words of --bus
@@ -42,6 +39,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if elsewhere := [item for item in own if only not in (None, *buses_of(item))]:
         items[:] = [item for item in items if item not in elsewhere]
         config.hook.pytest_deselected(items=elsewhere)
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Lets all processes of the tests share those that fork executors and planners."""
+    if session.config.option.forks and any("system" in getattr(item, "fixturenames", ()) for item in session.items):
+        nursery("executor"), nursery("planner")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -67,35 +70,6 @@ def kind(request: pytest.FixtureRequest) -> str:
     if request.param == "socketcan" and (reason := vcan.missing()):
         (pytest.fail if request.config.getoption("bus") else pytest.skip)(reason)
     return str(request.param)
-
-
-@pytest.fixture(scope="session")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("cache") / "hyperbit"
-
-
-@pytest.fixture(scope="session")
-def nurseries(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Nursery]]:
-    """The processes that fork executors and planners; the planners' one is started by the first test that needs it."""
-    nurseries = Nurseries(cache, tmp_path_factory.mktemp("arm"))
-    yield nurseries
-    nurseries.close()
-
-
-class Nurseries(dict[str, Nursery]):
-    def __init__(self, cache: Path, folder: Path) -> None:
-        self._cache, self._folder = cache, folder
-
-    def __missing__(self, kind: str) -> Nursery:
-        environment = {"XDG_CACHE_HOME": str(self._cache.parent)}
-        bus = {"interface": "virtual", "channel": "none"}
-        files = [arms.write(self._folder, "planar", "none", bus, {})] if kind == "planner" else []
-        self[kind] = nursery = Nursery(kind, environment, *files)
-        return nursery
-
-    def close(self) -> None:
-        for nursery in self.values():
-            nursery.close()
 
 
 class Shared:
@@ -129,15 +103,13 @@ def shared() -> Iterator[Shared]:
 
 
 @pytest.fixture
-def system(
-    request: pytest.FixtureRequest, kind: str, nurseries: dict[str, Nursery], cache: Path, shared: Shared
-) -> Iterator[System]:
+def system(request: pytest.FixtureRequest, kind: str, shared: Shared) -> Iterator[System]:
     """The arm of the test's mark; it is running unless the test is marked as fresh."""
     mark = request.node.get_closest_marker("arm")
     base, fields = (mark.args or ("planar",))[0] if mark else "planar", mark.kwargs if mark else {}
 
     def make() -> System:
-        return System(kind, base, fields, nurseries, cache)
+        return System(kind, base, fields)
 
     if request.node.get_closest_marker("fresh"):
         shared.drop()  # otherwise it would slow this one down

@@ -17,6 +17,7 @@ from hyperbit.controller.network import session
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.planning.ledger_file import read
 from tests.endpoints import free_endpoint
+from tests.shared import shared_folder
 from tests.system.stack import arms
 from tests.system.stack.observer import Observer
 from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT
@@ -36,12 +37,11 @@ def folder(tmp_path: Path) -> Path:
 
 
 @contextlib.contextmanager
-def started(folder: Path, cache: Path, output: int) -> Iterator[subprocess.Popen[bytes]]:
+def started(folder: Path, output: int) -> Iterator[subprocess.Popen[bytes]]:
     command = [sys.executable, "-c", RUN, str(folder / "arm.yaml"), "--simulate", "--listen", endpoint(folder)]
-    environment = {
-        **os.environ, "NOTIFY_SOCKET": "", "XDG_CACHE_HOME": str(cache.parent), "STATE_DIRECTORY": str(folder),
-        "RUNTIME_DIRECTORY": str(folder), "PYTHONPATH": str(ROOT),
-    }  # fmt: skip
+    folders = dict.fromkeys(("STATE_DIRECTORY", "RUNTIME_DIRECTORY"), str(folder))
+    folders |= {"XDG_CACHE_HOME": str(shared_folder() / "cache"), "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, **folders, "NOTIFY_SOCKET": ""}
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=output, env=environment, process_group=0)
     try:
         yield process
@@ -51,8 +51,8 @@ def started(folder: Path, cache: Path, output: int) -> Iterator[subprocess.Popen
 
 
 @pytest.fixture
-def process(folder: Path, cache: Path) -> Iterator[subprocess.Popen[bytes]]:
-    with (folder / "log").open("wb") as log, started(folder, cache, log.fileno()) as process:
+def process(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+    with (folder / "log").open("wb") as log, started(folder, log.fileno()) as process:
         yield process
 
 
@@ -91,10 +91,10 @@ def children(process: subprocess.Popen[bytes]) -> list[int]:
     return [int(pid) for pid in others if b"keeper.py" not in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
-def test_a_paused_terminal_stops_neither_states_nor_answers_nor_results(folder: Path, cache: Path) -> None:
+def test_a_paused_terminal_stops_neither_states_nor_answers_nor_results(folder: Path) -> None:
     user, program = pty.openpty()
     termios.tcflow(program, termios.TCOOFF)  # as Ctrl-S does
-    with started(folder, cache, program) as process, connected(process, folder) as client:
+    with started(folder, program) as process, connected(process, folder) as client:
         client.move(MIDDLE)
         client.goal(RIGHT, LEFT, times=[HOUR, 2 * HOUR], id="b")
         client.wait_for("executing", "goal b")

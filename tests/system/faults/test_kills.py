@@ -15,26 +15,23 @@ import pytest
 from hyperbit.controller.planning.ledger_file import read
 from hyperbit.drivers.canopen.wire import cia301
 from tests import emulated
-from tests.system.kills.campaign import Campaign, KillNursery
+from tests.system.kills.campaign import Campaign, kill_nursery
 from tests.system.kills.moments import MOMENTS, PROCESSES
 from tests.system.stack import arms
 from tests.system.stack.lives import Lives
 from tests.system.stack.places import MIDDLE
-from tests.system.stack.processes import Nursery
 from tests.system.stack.system import System
 from tests.waiting import SLOWNESS
 
 pytestmark = pytest.mark.fresh
 
-KILLS = 12 if SLOWNESS == 1 else 5  # each takes 3 s
+KILLS = 6 if SLOWNESS == 1 else 5  # each takes 3 s
 
 
 @pytest.fixture
-def campaign(kind: str, nurseries: dict[str, Nursery], cache: Path, tmp_path: Path) -> Iterator[Campaign]:
-    file = arms.write(tmp_path, "planar", "none", {"interface": "virtual", "channel": "none"}, {})
-    planners = KillNursery("planner", {"XDG_CACHE_HOME": str(cache.parent)}, file)
-    own = {"executor": nurseries["executor"], "planner": planners}
-    campaign = Campaign(lambda: System(kind, "planar", {"boards": arms.QUICK}, own, cache))
+def campaign(kind: str, tmp_path: Path) -> Iterator[Campaign]:
+    planners = kill_nursery(tmp_path)
+    campaign = Campaign(lambda: System(kind, "planar", {"boards": arms.QUICK}, planners))
     yield campaign
     campaign.close()
     planners.close()
@@ -55,7 +52,7 @@ def test_each_accepted_goal_has_one_result_whichever_process_is_killed_at_whatev
 def test_counts_and_results_are_exact_after_many_kills_and_nothing_moves_by_itself(
     lives: Lives, system: System
 ) -> None:
-    """Takes 40 s, see KILLS."""
+    """Takes 20 s, see KILLS."""
     client, boards, chance = lives.client, system.boards, random.Random(1)
     for k in range(KILLS):
         lives.ready()

@@ -12,10 +12,9 @@ from contextlib import ExitStack, closing
 from dataclasses import astuple, fields
 from pathlib import Path
 
-from tests.system.kills.campaign import Campaign, KillNursery, Tally
+from tests.system.kills.campaign import Campaign, Tally, kill_nursery
 from tests.system.kills.moments import MOMENTS, PROCESSES
 from tests.system.stack import arms
-from tests.system.stack.processes import Nursery
 from tests.system.stack.system import System
 
 EACH_SYSTEM = 60  # kills of one arm, because the ledger is read as its latest thousand goals
@@ -30,12 +29,8 @@ def main() -> int:
     given = parser.parse_args()
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        file = arms.write(folder, "planar", "none", {"interface": "virtual", "channel": "none"}, {})
-        environment = {"XDG_CACHE_HOME": str(folder / "cache")}
-        executors = stack.enter_context(closing(Nursery("executor", environment)))
-        planners = stack.enter_context(closing(KillNursery("planner", environment, file)))
-        nurseries, cache = {"executor": executors, "planner": planners}, folder / "cache" / "hyperbit"
-        campaign = Campaign(lambda: System("emulated", "planar", {"boards": arms.QUICK}, nurseries, cache))
+        planners = stack.enter_context(closing(kill_nursery(folder)))
+        campaign = Campaign(lambda: System("emulated", "planar", {"boards": arms.QUICK}, planners))
         stack.callback(campaign.close)
         numbers = range(given.first, given.first + given.each)
         for k, (moment, number, victim) in enumerate(itertools.product(given.moment, numbers, given.process), 1):

@@ -13,6 +13,7 @@ from hyperbit.controller.planning.ledger_file import read
 from tests.system.kills.moments import Scene, ordered, played
 from tests.system.kills.trigger import MARK, SOCKET, Order
 from tests.system.operator import Operator
+from tests.system.stack import arms
 from tests.system.stack.lives import Lives
 from tests.system.stack.places import LEFT, RIGHT
 from tests.system.stack.processes import Nursery
@@ -23,8 +24,10 @@ RESULT_TIMEOUT = 30.0 * SLOWNESS  # [s]
 ATTEMPTS = 5  # to reach a moment
 
 
-class KillNursery(Nursery):
-    module = "tests.system.kills.trigger"
+def kill_nursery(folder: Path) -> Nursery:
+    """Returns a process that forks planners with a trigger."""
+    file = arms.write(folder, "planar", "none", arms.NO_BUS, {})
+    return Nursery("planner", folder, file, module="tests.system.kills.trigger")
 
 
 @dataclass

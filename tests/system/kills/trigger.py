@@ -1,7 +1,7 @@
 """Kills processes when the planner's loop reaches a chosen step. Runs in the planner's process, for tests only.
 
 A test sends an order through a socket in the folder of the arm, and gets a line when the order is in force. The nursery
-of such planners: python -m tests.system.kills.trigger planner ARM.yaml
+of such planners: python -m tests.system.kills.trigger SOCKET planner ARM.yaml
 """
 
 import json

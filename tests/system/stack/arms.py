@@ -62,6 +62,7 @@ def mixed() -> dict[str, Any]:
     }
 
 
+NO_BUS = {"interface": "virtual", "channel": "none"}  # of a file that is prepared, not run
 KINDS = {"planar": planar, "mixed": mixed}
 
 

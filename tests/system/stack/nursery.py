@@ -1,10 +1,11 @@
-"""A process that forks commands of hyperbit, so that a test can start many: `python -m tests.system.stack.nursery`.
+"""A process that forks commands of hyperbit, for all processes of the tests: `python -m tests.system.stack.nursery`.
 
-The argument is "executor", "planner", or "hyperbit" for all commands; what these need is imported once. The arms' files
-that follow are prepared once, too. Each line on standard input starts a command: its arguments, its log file and its
-environment as a list in JSON; the id of its process is printed. For executor and planner, the interface "virtual" of
-arms' files is the emulated one. In the environment, CLOCK names a file with the seconds by which the system's clock is
-ahead, ENDED the file for the exit code, by default LOG.code, and NOHUP lets the command ignore SIGHUP from its start.
+Its arguments are the path of its socket, and "executor", "planner", or "hyperbit" for all commands; what these need is
+imported once. The arms' files that follow are prepared once, too. A packet on a connection starts a command: its
+arguments, folder and environment as a list in JSON, and its standard streams. Two packets come back: the id of the
+process, and its exit code, which is negative after a signal. For executor and planner, the interface "virtual" of arms'
+files is the emulated one. In the environment, CLOCK names a file with the seconds by which the system's clock is ahead,
+and NOHUP lets the command ignore SIGHUP from its start.
 """
 
 import contextlib
@@ -13,6 +14,7 @@ import importlib
 import json
 import os
 import signal
+import socket
 import sys
 import time
 from pathlib import Path
@@ -42,12 +44,15 @@ NEEDED = {
         "hyperbit.controller.commands.serve.ros2",
         "hyperbit.controller.executor.__main__",
         "hyperbit.controller.gateway.daemon",
+        "hyperbit.controller.library.solver",
         "hyperbit.controller.panel.serve",
         "hyperbit.controller.recorder.recorder",
         "hyperbit.controller.ros2.bridge",
         "filterpy.kalman",
+        "matplotlib.pyplot",
     ),
 }
+MOST_BYTES = 1 << 18  # of a packet
 
 
 def execute(arguments: list[str]) -> int:
@@ -92,22 +97,23 @@ def prepare(file: Path) -> None:
     Solver(arm.reduced, densities_of(arm, silent=True)).prepare()
 
 
-def become(kind: str, arguments: list[str], log: str, environment: dict[str, str]) -> None:
+def become(kind: str, arguments: list[str], folder: str, environment: dict[str, str], streams: list[int]) -> None:
     """Runs a command in this process, which ends with the nursery."""
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGCHLD])
     os.setpgid(0, 0)  # not a session of its own: Linux 6.18 lets such a process wait for seconds on a busy machine
-    file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    for number, target in ((nothing, 0), (file, 1), (file, 2)):
-        os.dup2(number, target)
-    os.environ |= environment
+    for target, stream in enumerate(streams):
+        os.dup2(stream, target)
+        os.close(stream)
+    os.chdir(folder)
+    os.environ.clear()
+    os.environ.update(environment)
     signal.signal(signal.SIGHUP, signal.SIG_IGN if "NOHUP" in environment else signal.SIG_DFL)
     code = 70  # an internal error
     try:
         code = COMMANDS[kind](arguments)
     except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else 1
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
     except BaseException:
         sys.excepthook(*sys.exc_info())
     finally:
@@ -120,21 +126,25 @@ def become(kind: str, arguments: list[str], log: str, environment: dict[str, str
 
 
 class Ended:
-    """Writes the exit codes of commands to files, then reaps the commands."""
+    """Tells the exit codes of commands, then reaps the commands.
+
+    Attributes:
+        told: connections by the ids of processes.
+    """
 
     def __init__(self) -> None:
-        self.files: dict[int, str] = {}
+        self.told: dict[int, socket.socket] = {}
 
     def __call__(self, *_: object) -> None:
         with contextlib.suppress(ChildProcessError):
             while found := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOWAIT | os.WNOHANG):
                 code = found.si_status if found.si_code == os.CLD_EXITED else -found.si_status
-                with contextlib.suppress(OSError):  # the folder is gone
-                    Path(self.files.pop(found.si_pid)).write_text(str(code))
+                with self.told.pop(found.si_pid) as there, contextlib.suppress(OSError):  # nobody may want to know it
+                    there.send(b"%d" % code)
                 os.waitpid(found.si_pid, 0)
 
 
-def main(kind: str, *files: str) -> None:
+def main(path: str, kind: str, *files: str) -> None:
     time.time = wall  # before the imports, which make defaults of it
     if kind != "hyperbit":  # whose executors simulate the boards themselves
         can.interfaces.BACKENDS["virtual"] = ("tests.emulated", "EmulatedBus")
@@ -144,17 +154,25 @@ def main(kind: str, *files: str) -> None:
         prepare(Path(file))
     prctl, ended = ctypes.CDLL(None).prctl, Ended()
     signal.signal(signal.SIGCHLD, ended)
-    print("ready", flush=True)
-    for line in sys.stdin:
-        order = json.loads(line)
+    here = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    here.bind(f"{path}~")
+    here.listen(100)
+    os.rename(f"{path}~", path)  # it is there when it listens
+    while True:
+        there = here.accept()[0]
+        order, streams, _, _ = socket.recv_fds(there, MOST_BYTES, 3)
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGCHLD])  # until it is known whose end that is
         child = os.fork()
         if child == 0:
             prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-            become(kind, *order)
-        ended.files[child] = order[2].get("ENDED", f"{order[1]}.code")
+            for connection in (here, there, *ended.told.values()):
+                connection.close()
+            become(kind, *json.loads(order), streams)
+        for stream in streams:
+            os.close(stream)
+        ended.told[child] = there
+        there.send(b"%d" % child)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGCHLD])
-        print(child, flush=True)
 
 
 if __name__ == "__main__":

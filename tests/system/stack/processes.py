@@ -4,22 +4,37 @@ import atexit
 import functools
 import json
 import os
+import shlex
 import signal
+import socket
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
+from tests.shared import shared_folder
+from tests.system.stack import arms
 from tests.waiting import eventually
 
 ROOT = Path(__file__).parents[3]
+APPEND = os.O_WRONLY | os.O_CREAT | os.O_APPEND
+SCRIPT = """#!/bin/sh
+exec {python} -IS -c 'import json, os, socket, sys
+with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as there:
+    there.connect({path})
+    order = json.dumps([sys.argv[1:], os.getcwd(), dict(os.environ)]).encode()
+    socket.send_fds(there, [order], [0, 1, 2])
+    there.recv(100)
+    code = int(there.recv(100) or 70)
+sys.exit(code if code >= 0 else 128 - code)
+' "$@"
+"""
 
 
 class Process:
     """A command that was forked in a nursery."""
 
-    def __init__(self, pid: int, log: Path) -> None:
-        self.pid, self.log = pid, log
+    def __init__(self, pid: int, log: Path, connection: socket.socket) -> None:
+        self.pid, self.log, self._connection = pid, log, connection
 
     @property
     def alive(self) -> bool:
@@ -47,52 +62,63 @@ class Process:
     def kill(self) -> None:
         self.end(signal.SIGKILL)
 
-    @property
+    @functools.cached_property
     def code(self) -> int:
-        """The exit code, once the process has ended by itself."""
+        """The exit code, once the process has ended; negative after a signal."""
         self.gone()
-        return int(Path(f"{self.log}.code").read_text())
+        return int(self._connection.recv(100))
 
 
 class Nursery:
-    """Forks commands of a kind, see nursery.py, in a process that has imported their modules."""
+    """Forks commands of a kind, see nursery.py, in a process that has imported their modules.
 
-    module = "tests.system.stack.nursery"
+    Its creator ends it; processes that the creator forks may use it.
+    """
 
-    def __init__(self, kind: str, environment: dict[str, str], *files: Path) -> None:
-        command = [sys.executable, "-m", self.module, kind, *map(str, files)]
-        self._lock = threading.Lock()
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=os.environ | environment
-        )
-        self._ready = False
+    def __init__(self, kind: str, folder: Path, *files: Path, module: str = "tests.system.stack.nursery") -> None:
+        self._path, self._creator = folder / f"{module.rpartition('.')[2]}-{kind}", os.getpid()
+        command = [sys.executable, "-m", module, str(self._path), kind, *map(str, files)]
+        environment = os.environ | {"XDG_CACHE_HOME": str(folder / "cache"), "PYTHONUNBUFFERED": "1"}
+        nothing, pipe = subprocess.DEVNULL, subprocess.PIPE  # a pipe, for commands may have no file that can be sought
+        self._process = subprocess.Popen(command, stdin=nothing, stdout=pipe, stderr=pipe, cwd=ROOT, env=environment)
 
     def start(self, arguments: list[str], log: Path, environment: dict[str, str]) -> Process:
-        with self._lock:
-            if not self._ready:
-                assert self._read() == "ready\n"
-                self._ready = True
-            log.touch()
-            assert self._process.stdin
-            self._process.stdin.write(json.dumps([arguments, str(log), environment]) + "\n")
-            self._process.stdin.flush()
-            return Process(int(self._read()), log)
+        """Starts a command in the current folder, with its output at the end of a file, or in a terminal.
+
+        Args:
+            environment: beside the one of this process.
+        """
+        eventually(self._path.exists, told=lambda: f"the process that forks commands does not listen at {self._path}")
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        connection.connect(str(self._path))
+        order = json.dumps([arguments, os.getcwd(), os.environ | environment]).encode()
+        streams = [os.open(name, flags | os.O_NOCTTY) for name, flags in ((os.devnull, os.O_RDONLY), (log, APPEND))]
+        socket.send_fds(connection, [order], [*streams, streams[1]])
+        for stream in streams:
+            os.close(stream)
+        return Process(int(connection.recv(100)), log, connection)
+
+    def script(self) -> str:
+        """Returns a program that does what the command does."""
+        return SCRIPT.format(python=shlex.quote(sys.executable), path=json.dumps(str(self._path)))
 
     def close(self) -> None:
-        self._process.kill()
-        self._process.communicate()
-
-    def _read(self) -> str:
-        assert self._process.stdout
-        return self._process.stdout.readline()
+        if os.getpid() == self._creator:
+            self._process.kill()
+            self._process.wait()
 
 
 @functools.cache
+def nursery(kind: str) -> Nursery:
+    """Returns the process that forks commands of a kind, for this process and for those that it forks later."""
+    files = [arms.write(shared_folder(), "planar", "none", arms.NO_BUS, {})] if kind == "planner" else []
+    made = Nursery(kind, shared_folder(), *files)
+    atexit.register(made.close)
+    return made
+
+
 def commands() -> Nursery:
-    """Returns the process that forks commands of hyperbit for all tests of this one."""
-    nursery = Nursery("hyperbit", {})
-    atexit.register(nursery.close)
-    return nursery
+    return nursery("hyperbit")
 
 
 def tail(log: Path, lines: int = 30) -> str:

@@ -27,10 +27,11 @@ from hyperbit.drivers.canopen.wiring import BusWiring, Wiring
 from hyperbit.drivers.simulation.simulation import Simulation
 from tests import emulated, vcan
 from tests.endpoints import free_endpoint
+from tests.shared import shared_folder
 from tests.system.stack import arms
 from tests.system.stack.motions import Listener
 from tests.system.stack.observer import Observer
-from tests.system.stack.processes import Nursery, Process, tail
+from tests.system.stack.processes import Nursery, Process, nursery, tail
 from tests.waiting import PATIENCE, eventually
 
 NUMBERS = itertools.count()
@@ -54,12 +55,11 @@ class System:
     Args:
         kind: of bus.
         base: of `arms.KINDS`.
+        planners: forks the planners; by default the one of all tests.
     """
 
-    def __init__(
-        self, kind: str, base: str, fields: dict[str, Any], nurseries: dict[str, Nursery], cache: Path
-    ) -> None:
-        self.kind, self._nurseries, self._cache = kind, nurseries, cache
+    def __init__(self, kind: str, base: str, fields: dict[str, Any], planners: Nursery | None = None) -> None:
+        self.kind, self._planners = kind, planners
         self.folder = Path(tempfile.mkdtemp(prefix="hb"))  # with a short name, because of the sockets in it
         self._closing = ExitStack()
         self._closing.callback(shutil.rmtree, self.folder, ignore_errors=True)
@@ -119,7 +119,7 @@ class System:
 
     def start_executor(self) -> Process:
         arguments = [str(self.file), "--socket", str(self.socket)]
-        self.executor = self._nurseries["executor"].start(arguments, self.folder / "executor.log", self._environment)
+        self.executor = nursery("executor").start(arguments, self.folder / "executor.log", self._environment)
         return self.executor
 
     def start_planner(self) -> Daemon:
@@ -129,7 +129,7 @@ class System:
 
     def serving(self, config: zenoh.Config, ledger: Path) -> AbstractContextManager[Daemon]:
         arm = self.arm
-        densities = load_or_map(arm.reduced, arm.pixel, arm.level_pixels, self._cache)
+        densities = load_or_map(arm.reduced, arm.pixel, arm.level_pixels, shared_folder() / "cache" / "hyperbit")
         digest = hashlib.sha256(self.file.read_bytes()).hexdigest()
         return daemon.running(arm, densities, digest, config, ledger, self.socket, simulated=False)
 
@@ -144,7 +144,8 @@ class System:
         file.write_text(str(config))
         arguments = [str(self.file), "--socket", str(self.socket), "--zenoh", str(file), "--ledger", str(self.ledger)]
         environment = self._environment | ({} if self.clock is None else {"CLOCK": str(self.clock)})
-        self.planner = self._nurseries["planner"].start(arguments, self.folder / "planner.log", environment)
+        planners = self._planners or nursery("planner")
+        self.planner = planners.start(arguments, self.folder / "planner.log", environment)
         return self.planner
 
     def end_planner(self) -> None:
@@ -156,7 +157,11 @@ class System:
 
     @property
     def _environment(self) -> dict[str, str]:
-        return {"STATE_DIRECTORY": str(self.folder), "XDG_CACHE_HOME": str(self._cache.parent), "NOTIFY_SOCKET": ""}
+        return {
+            "STATE_DIRECTORY": str(self.folder),
+            "XDG_CACHE_HOME": str(shared_folder() / "cache"),
+            "NOTIFY_SOCKET": "",
+        }
 
     def session(self) -> zenoh.Session:
         """A client's session; the caller closes it."""
