@@ -84,7 +84,7 @@ def test_a_stream_replaces_a_goal_and_a_goal_the_stream(
         assert answer["accepted"] or answer["reason"] in ("moved-since-planned", "arm-moved"), answer
         return answer["id"] if answer["accepted"] else ""
 
-    def replace(_: int) -> None:
+    def replace() -> None:
         assert client.result("a")["message"] == "replaced by a setpoint"
         assert client.result(eventually(accepted))["status"] == "succeeded"
         assert client.wait_now("ready")["goal"] is None
@@ -96,7 +96,7 @@ def test_a_stream_replaces_a_goal_and_a_goal_the_stream(
 
 
 def test_nothing_is_switched_after_a_stop(client: Observer, publisher: Publisher, motions: Motions) -> None:
-    def stop(_: int) -> None:
+    def stop() -> None:
         assert client.ask("stop")["accepted"]
         motions.clear()
         client.wait_now("stopped")

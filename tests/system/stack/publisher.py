@@ -32,12 +32,10 @@ def circle(t: float) -> tuple[float, float]:
 class Publisher:
     """Streams set-points of a goal that moves with the clock."""
 
-    def __init__(
-        self, session: zenoh.Session, client: Observer, name: str,
-        way: Callable[[float], tuple[float, float]] = circle,
-    ) -> None:  # fmt: skip
-        self._session, self._client, self._key, self.way = session, client, f"hyperbit/{name}/setpoint", way
-        self.position = way(0.0)
+    def __init__(self, session: zenoh.Session, client: Observer, name: str) -> None:
+        self._session, self._client, self._key = session, client, f"hyperbit/{name}/setpoint"
+        self.way: Callable[[float], tuple[float, float]] = circle
+        self.position = START
 
     def put(self, payload: dict[str, Any] | bytes) -> None:
         self._session.put(self._key, payload if isinstance(payload, bytes) else json.dumps(payload))
@@ -71,18 +69,18 @@ class Publisher:
             thread.join()
             self.followed(began)
 
-    def throughout(self, check: Callable[[int], None]) -> None:
-        """Calls `check` with 0 while one stream is followed.
+    def throughout(self, check: Callable[[], None]) -> None:
+        """Calls `check` while one stream is followed.
 
         After a pause of this machine the planner counts the rest of the stream as a new one, and follows it. A check
-        that fails for this is called again, with 1, 2 and so on.
+        that fails for this is called again.
         """
         for attempt in itertools.count():
             with self.streaming():
                 self._client.wait_now("executing", FOLLOWING)
                 streams = self.status()["streams"]
                 try:
-                    check(attempt)
+                    check()
                     return
                 except AssertionError:
                     if self.status()["streams"] == streams or attempt == ATTEMPTS:
