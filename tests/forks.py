@@ -48,11 +48,11 @@ def pytest_runtestloop(session: pytest.Session) -> bool | None:
     running: dict[connection.Connection, int] = {}
     try:
         for number in range(options.forks + options.forks_beside):
-            first = number >= options.forks_beside
+            computes = number >= options.forks_beside > 0  # without others beside them, all take all tests
             receiver, sender = connection.Pipe(duplex=False)
             child = os.fork()
             if child == 0:
-                run_tests(session, queues[first:], sender)
+                run_tests(session, queues[computes:], sender)
                 return True
             sender.close()
             running[receiver] = child
