@@ -145,6 +145,8 @@ class Ended:
 
 
 def main(path: str, kind: str, *files: str) -> None:
+    prctl, ended = ctypes.CDLL(None).prctl, Ended()
+    prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # this process ends with its creator
     time.time = wall  # before the imports, which make defaults of it
     if kind != "hyperbit":  # whose executors simulate the boards themselves
         can.interfaces.BACKENDS["virtual"] = ("tests.emulated", "EmulatedBus")
@@ -152,7 +154,6 @@ def main(path: str, kind: str, *files: str) -> None:
         importlib.import_module(name)
     for file in files:
         prepare(Path(file))
-    prctl, ended = ctypes.CDLL(None).prctl, Ended()
     signal.signal(signal.SIGCHLD, ended)
     here = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     here.bind(f"{path}~")
