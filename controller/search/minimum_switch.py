@@ -1,8 +1,8 @@
 """Minimum switch: the cheapest configuration within the tolerances, with a proof that no cheaper one exists.
 
 The stages improve the incumbent and its lower bound: two lists, matched in the middle; IPOP, if the lists yield no
-configuration; branch and bound for planar arms, or leaps for long ones; four lists, which find or exclude what two
-lists leave out; beam searches, and two lists around the incumbent, until the deadline.
+configuration; branch and bound for planar arms, or lists of neighbours for long ones; four lists, which find or exclude
+what two lists leave out; beam searches, each followed by two lists around the incumbent, until the deadline.
 """
 
 import math
@@ -22,7 +22,7 @@ from hyperbit.controller.search.lists.matching import load_matchers, put
 from hyperbit.controller.search.lists.segment import Sets, build_segment, motions
 from hyperbit.controller.search.lists.two_list import ListSizes, TwoList, room_for
 from hyperbit.controller.search.method import distances
-from hyperbit.controller.search.neighbours.chain import Chain
+from hyperbit.controller.search.neighbours.chain import Chain, chain_of
 from hyperbit.controller.search.neighbours.leaps import Leaps
 from hyperbit.controller.search.solution import Incumbent
 from hyperbit.controller.search.target import Problem, SearchTarget, search_radius
@@ -32,7 +32,9 @@ Array = NDArray[np.float64]
 
 GRID = {2: 256, 3: 32}  # extent of the points over the greatest distance of a pair, by dimension
 EASY = 1.5  # below this multiple of the unexplored cost, four lists give a proof sooner than new maps
-REST, REST_FOUND = 0.5, 0.2  # share of the time that the first run of branch and bound leaves: without, with incumbent
+# Share of the time that branch and bound leaves to others at first: for a pose, or without an incumbent; for a position
+# with one. A pose has a position's map and a heading's, which exclude less than one map of both would.
+REST, REST_FOUND = 0.4, 0.2
 BEAMS = (32, 128, 512)  # widths of beam searches, in order
 MARGIN = 4.0  # of the estimated time for a row
 FAR = 1.0, 1.2  # above these multiples of the unexplored cost of pairs, beam searches precede the proof
@@ -48,7 +50,9 @@ class MinimumSwitch:
         self._near, self._wide = (TwoList(manipulator, most, sizes.matched) for most in (sizes.near, sizes.widest))
         self._four = FourList(manipulator, self._near.cut, sizes)
         self._tree = BranchAndBound(manipulator, hull) if manipulator.planar else None
-        self._nearest, self._leaps = Nearest(manipulator, self._wide, sizes.near), Leaps(chain)
+        by_switches = chain_of(manipulator, manipulator.per_module(np.ones(len(manipulator.actuators))), 1.0, True)
+        self._nearest = Nearest(manipulator, self._wide, sizes.near)
+        self._leaps = Leaps(chain, by_switches, sizes)
         self._row_time = 0.0
         self._proof: FourListProof | None = None
 
@@ -80,21 +84,19 @@ class MinimumSwitch:
 
     def improve(self, problem: Problem, incumbent: Incumbent) -> None:
         """Runs the stages until the incumbent is proven or the deadline passes, which the gap may extend."""
-        tree_search = self._quick_proof, self._branch_and_bound
-        near, leap = ((self._near_seed,), (self._leap,)) if self._leaps.worthwhile else ((), ())
+        tree = self._quick_proof, self._part_of_tree
+        long = self._leaps.worthwhile
+        near, leap = ((self._near_seed,), (self._far_from_seed, self._leap)) if long else ((), ())
         stages: tuple[Callable[[Problem, Incumbent], None], ...] = (
             self._two_lists,
             self._outside,
             self._ipop,
-            *(near or tree_search),
+            *(near or tree),
             self._far,
             *leap,
             self._four_lists,
-            self._approach,
-            self._around,
-            self._four_lists,
             self._beams,
-            *tree_search,
+            self._rest_of_tree,
         )
         self._proof = None
         if self._tree is not None:
@@ -104,8 +106,8 @@ class MinimumSwitch:
                 stage(problem, incumbent)
         if not incumbent.proven and incumbent.extend():
             lists = () if self._proof is not None else (self._two_lists,)  # the first time may have been too short
-            proofs = *tree_search, self._four_lists, self._beams, *tree_search
-            for stage in (*lists, *near, *leap, self._approach, self._around, *proofs):
+            proofs = *tree, self._four_lists, self._beams, self._rest_of_tree
+            for stage in (*lists, *near, *leap, *proofs):
                 if not incumbent.over:
                     stage(problem, incumbent)
         if incumbent.cost == np.inf:
@@ -161,16 +163,22 @@ class MinimumSwitch:
         if incumbent.cost <= EASY * min(self._near.lower.unexplored, self._near.upper.unexplored):
             self._four_lists(problem, incumbent)
 
-    def _branch_and_bound(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Runs branch and bound for a part of the remaining time; a second call runs it until the deadline."""
+    def _part_of_tree(self, problem: Problem, incumbent: Incumbent) -> None:
+        """Runs branch and bound for a part of the remaining time, so that other searches find what it does not."""
+        easy = incumbent.cost < np.inf and not problem.target.oriented
+        self._branch_and_bound(problem, incumbent, REST_FOUND if easy else REST)
+
+    def _rest_of_tree(self, problem: Problem, incumbent: Incumbent) -> None:
+        """Runs branch and bound until the deadline."""
+        self._branch_and_bound(problem, incumbent, 0.0)
+
+    def _branch_and_bound(self, problem: Problem, incumbent: Incumbent, rest: float) -> None:
         tree = self._tree
         if tree is None or problem.unreachable or incumbent.late:
             return
         left = incumbent.remaining()
         if left > tree.map_time(problem.target, problem.costs, incumbent.clock):
-            rest = 0.0 if tree.begun else REST_FOUND if incumbent.cost < np.inf else REST
-            until = incumbent.until - rest * left
-            tree.run(problem.target, problem.seed, problem.costs, incumbent, until)
+            tree.run(problem.target, problem.seed, problem.costs, incumbent, incumbent.until - rest * left)
 
     def _four_lists(self, problem: Problem, incumbent: Incumbent) -> None:
         """Runs the proof by four lists.
@@ -197,6 +205,11 @@ class MinimumSwitch:
         if not problem.unreachable and not incumbent.late:
             self._leaps.prove(problem, incumbent)
 
+    def _far_from_seed(self, problem: Problem, incumbent: Incumbent) -> None:
+        """Lists what is farther from the seed, if nothing is found or time is left."""
+        if not problem.unreachable and not incumbent.late:
+            self._leaps.prove_deep(problem, incumbent)
+
     def _leap(self, problem: Problem, incumbent: Incumbent) -> None:
         """Lists what is near other configurations, for a part of the remaining time."""
         if not problem.unreachable and not incumbent.late:
@@ -211,19 +224,6 @@ class MinimumSwitch:
             if most < incumbent.cost < np.inf and not incumbent.late:
                 self._paths.widen(problem.target, problem.costs, width, incumbent)
                 self._wander(problem, incumbent, self._sizes.near)
-
-    def _approach(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Brings the tip nearer to the goal, as a start for lists around the incumbent."""
-        if incumbent.cost == np.inf:
-            self._release()
-            self._nearest.improve(problem.target, incumbent)
-
-    def _around(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Matches two lists around the incumbent; longer lists until a configuration is within the tolerances."""
-        for most in self._sizes.ladder:
-            self._wander(problem, incumbent, most)
-            if incumbent.cost < np.inf or not problem.target.hard:
-                break
 
     def _beams(self, problem: Problem, incumbent: Incumbent) -> None:
         """Runs wider beam searches, each followed by two lists around the incumbent."""

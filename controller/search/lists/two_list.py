@@ -40,6 +40,8 @@ class ListSizes(NamedTuple):
         layer: fewest pairs of a layer of quarters, unless it is the last.
         at_once: pairs of quarters between two checks of the deadline.
         matched: lower rows matched between two checks of the deadline.
+        near_changes: changes of half the cost of a list of neighbours, of which a search makes many, see Leaps.
+        deep_changes: those of the one long list of neighbours.
     """
 
     near: int = 1 << 14
@@ -49,6 +51,8 @@ class ListSizes(NamedTuple):
     layer: int = 1 << 14
     at_once: int = 1 << 17
     matched: int = 1 << 15
+    near_changes: int = 1 << 18
+    deep_changes: int = 5 << 18
 
     @property
     def ladder(self) -> tuple[int, int, int]:
