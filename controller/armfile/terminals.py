@@ -15,7 +15,6 @@ from hyperbit.controller.armfile.settings import (
 BOARD = re.compile(r"([A-Za-z0-9_-]{1,64})/([1-9][0-9]{0,2})")
 GREATEST_NODE = 126  # 127 is the master's
 INPUT_WIDTHS = {0x6000: 8, 0x6020: 1, 0x6100: 16, 0x6120: 32}  # bits of a sub-index of the inputs (CiA 401)
-WATCHED = {0x1001, 0x1002, *range(0x2000, 0xA000)}  # objects of which an interlock may be a bit
 
 
 class Terminal(NamedTuple):
@@ -143,14 +142,19 @@ def interlock_faults(lock: InterlockSettings) -> Iterator[str]:
     if index in INPUT_WIDTHS:
         bit = (lock.sub - 1) * INPUT_WIDTHS[index] + (lock.bit or 0)
         yield f".object: {index:#06x} has the inputs of the board; needed is input: {max(bit, 0)} in place of it"
-    elif index not in WATCHED:
+    elif not may_be_watched(index):
         read = f"{index}"  # the hexadecimal number without its 0x
-        hint = f"; did you mean 0x{read}?" if int(read, 16) in WATCHED else ""
+        hint = f"; did you mean 0x{read}?" if may_be_watched(int(read, 16)) else ""
         yield f".object: {index:#06x}, but 0x1001, 0x1002 or an object from 0x2000 to 0x9fff is needed{hint}"
     elif index < 0x2000 and (lock.sub or (lock.bit or 0) > (7 if index == 0x1001 else 31)):
         yield f".{'sub' if lock.sub else 'bit'}: {index:04X}h has sub 0 only, with 8 bits in 1001h and 32 in 1002h"
     elif index == 0x1001 and not lock.inverted:
         yield ".inverted: false, but the bits of 1001h (error register) are 1 in an error; needed is inverted: true"
+
+
+def may_be_watched(index: int) -> bool:
+    """Returns whether an interlock may be a bit of an object, by its index."""
+    return index in (0x1001, 0x1002) or 0x2000 <= index < 0xA000
 
 
 def no_bus(name: str, buses: Sequence[str]) -> str:

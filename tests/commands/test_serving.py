@@ -187,6 +187,14 @@ def test_recording_needs_neither_kernels_nor_pictures() -> None:
     assert printed(script) == "[]"
 
 
+def test_the_planner_needs_no_board() -> None:
+    script = (
+        "import sys, hyperbit.controller.commands.operate.run, hyperbit.controller.gateway.daemon\n"
+        "print([name for name in ('canopen', 'can', 'matplotlib', 'scipy.linalg') if name in sys.modules])"
+    )
+    assert printed(script) == "[]"
+
+
 def test_the_daemon_needs_nothing_of_the_recorder() -> None:
     script = (
         "import sys\nsys.modules['mcap'] = None\n"

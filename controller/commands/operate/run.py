@@ -19,7 +19,6 @@ from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmFile, BoardKinds, Listen, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, densities_of, load_wired
 from hyperbit.controller.commands.connection import zenoh_config
-from hyperbit.controller.commands.operate.simulate import variants_of
 from hyperbit.controller.commands.process import ending_event
 from hyperbit.controller.host.files import read_file
 from hyperbit.controller.network.endpoints import wait_for_router
@@ -114,7 +113,10 @@ def started_executor(
 
     settings, actuators, _ = read_wired(file)
     start_logging({"HYPERBIT_ARM": settings.name})
-    variants_of(boards or [], [f"{bus}/{node}" for bus, node in sorted(named_boards(settings))])
+    if boards:  # the kinds of boards need canopen, which takes 8 MB
+        from hyperbit.controller.commands.operate.simulate import variants_of
+
+        variants_of(boards, [f"{bus}/{node}" for bus, node in sorted(named_boards(settings))])
     path = socket_path(socket, settings.name)
     if socket is not None:
         yield RunningExecutor(path, lambda: None)

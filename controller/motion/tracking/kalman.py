@@ -1,17 +1,17 @@
-"""filterpy's Kalman filter, imported without scipy.stats.
+"""filterpy's Kalman filter, imported without scipy.
 
-filterpy imports scipy.stats to compute likelihoods, which hyperbit does not use. The import would cost each planner
-58 MiB and more than a second. While filterpy is imported, an empty module replaces scipy.stats.
+filterpy imports parts of scipy that this filter and this noise do not use, as for likelihoods. The imports would cost
+each planner 74 MiB and more than a second. While filterpy is imported, empty modules replace them.
 
-filterpy has no option against this import. A lazy module of importlib would not help: filterpy imports names from
-scipy.stats, which loads the module.
+filterpy has no option against these imports. A lazy module of importlib would not help: filterpy imports names from
+scipy, which loads the modules.
 """
 
 import sys
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
-STATS = "scipy.stats"
+UNUSED = "scipy.linalg", "scipy.ndimage", "scipy.sparse", "scipy.sparse.linalg", "scipy.stats"
 
 
 def kalman_filter(states: int, measured: int) -> Any:
@@ -25,17 +25,25 @@ def white_noise(dimension: int, time: float, variance: float) -> Any:
     return discrete(2, dt=time, var=variance, block_size=dimension, order_by_dim=False)
 
 
+class StandIn(ModuleType):
+    """A module of scipy whose functions do not work."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return SimpleNamespace(logpdf=unavailable)
+
+
 def imported(name: str) -> ModuleType:
-    """Returns a module of filterpy; scipy.stats stays unimported unless other code has imported it."""
-    if name not in sys.modules and STATS not in sys.modules:
-        stand_in = ModuleType(STATS)
-        vars(stand_in).update(norm=None, multivariate_normal=SimpleNamespace(logpdf=unavailable))
-        sys.modules[STATS] = stand_in
+    """Returns a module of filterpy; modules of scipy stay unimported unless other code has imported them."""
+    if name not in sys.modules:
+        stand_ins = {unused: StandIn(unused) for unused in UNUSED if unused not in sys.modules}
+        sys.modules.update(stand_ins)
         try:
             __import__(name)
         finally:
-            del sys.modules[STATS]
-    __import__(name)
+            for unused in stand_ins:
+                del sys.modules[unused]
     return sys.modules[name]
 
 

@@ -14,6 +14,7 @@ from tests.benchmarks.harness import CommandLine, report
 
 SETTLES = 5.0  # [s] until everything has started
 MOST_SHARE, MOST_WAKES, MOST_WAKES_POLLED = 6.0, 50.0, 60.0  # bars of the executor: [%] of a processor; a second
+MOST_MEMORY = 250.0  # [MB] of the planner, a bar
 NANO = 1e-9
 
 
@@ -58,6 +59,7 @@ def main() -> None:
     bars = {
         f"at most {MOST_SHARE:g} % of a processor": on["percent of a processor"] <= MOST_SHARE,
         f"at most {MOST_WAKES:g} wake-ups a second": on["wake-ups a second"] <= MOST_WAKES,
+        f"planner: at most {MOST_MEMORY:g} MB": figures["on a bus"]["planner"]["MB"] <= MOST_MEMORY,
         f"at most {MOST_WAKES_POLLED:g} without a descriptor": polled["wake-ups a second"] <= MOST_WAKES_POLLED,
     }
     report(figures, bars, options.json)
