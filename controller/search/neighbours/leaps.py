@@ -37,6 +37,7 @@ Integers = NDArray[np.int64]
 LONG = 3  # switches of half a budget; lists that reach so far are of an arm that other searches prove sooner
 MOST_ROWS, MOST_FOUND = 1 << 20, 1 << 16  # changes in memory; configurations of one list
 WIDTHS = 4, 16  # configurations with equally many single changes around which lists are made
+CACHED = 5e5  # changes beyond which each takes longer, in proportion, as the processor's caches are small
 DEEP_SHARE = 0.5  # of the time that is left, for a deep list after a configuration was found
 
 
@@ -134,8 +135,8 @@ class NearList:
 
     def offer(self, row: Configuration, problem: Problem, budget: float, incumbent: Incumbent, until: float) -> bool:
         """Offers the cheapest configuration within a budget of one (B,); False if there is no time or room for all."""
-        halves = self._counts.within(budget / 2) + self._counts.within((budget + self.unit) / 2)
-        price = NEIGHBOUR * halves / 2
+        changes = (self._counts.within(budget / 2) + self._counts.within((budget + self.unit) / 2)) / 2
+        price = NEIGHBOUR * changes * max(changes / CACHED, 1.0)
         if incumbent.clock.now() + price > until:
             return False
         incumbent.clock.charge(price)
