@@ -6,7 +6,10 @@ STEPS ?= 1000000
 # Bytecode is written when a module is first imported: pip would compile all that it installs.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo panel test page-test vm vm-test vcan-test ros2-test check bench fleet fuzz soak mutants clean
+# Robots and tests have the same versions.
+LOCK := deploy/versions.txt
+
+.PHONY: demo panel test page-test vm vm-test vcan-test ros2-test check bench fleet fuzz soak mutants lock clean
 
 demo: $(VENV)/kernels
 	$(BIN)/hyperbit demo
@@ -95,10 +98,15 @@ soak: $(VENV)/installed
 mutants: $(VENV)/installed
 	PYTHONHASHSEED=0 nice $(BIN)/python -m tests.mutants $(ARGS)
 
+# Updates the lock to the newest versions that pyproject.toml allows.
+lock: $(VENV)/installed
+	$(BIN)/pip install --quiet --upgrade --upgrade-strategy eager --editable '.[dev]'
+	$(BIN)/python -m tests.deploy.versions
+
 # The program alone.
-$(VENV)/program: pyproject.toml
+$(VENV)/program: pyproject.toml $(LOCK)
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --no-compile --editable .
+	$(BIN)/pip install --quiet --no-compile --constraint $(LOCK) --editable '.[pictures]'
 	touch $@
 
 # Machine code of the kernels, compiled on all processors. Without it the first start of the daemon compiles them on one.
@@ -108,7 +116,7 @@ $(VENV)/kernels: $(VENV)/program $(shell grep -rl @njit --include=*.py controlle
 
 # The libraries of the page.
 $(VENV)/panel: $(VENV)/program
-	$(BIN)/pip install --quiet --editable '.[panel]'
+	$(BIN)/pip install --quiet --constraint $(LOCK) --editable '.[panel,pictures]'
 	touch $@
 
 # And that of the tests' kernels. Without it each process of `make test` compiles them.
@@ -118,13 +126,13 @@ $(VENV)/test-kernels: $(VENV)/kernels $(shell grep -rl @njit --include=*.py test
 
 # The developers' tools.
 $(VENV)/installed: $(VENV)/program
-	$(BIN)/pip install --quiet --editable '.[dev]'
+	$(BIN)/pip install --quiet --constraint $(LOCK) --editable '.[dev]'
 	touch $@
 
 # And what drives the browser, and axe-core of npm, which looks at the page. Without npm the tests of axe are skipped.
 AXE := 4.14.1
 $(VENV)/page: $(VENV)/installed
-	$(BIN)/pip install --quiet --editable '.[dev,page]'
+	$(BIN)/pip install --quiet --constraint $(LOCK) --editable '.[dev,page]'
 	-cd $(VENV) && npm pack --silent axe-core@$(AXE) && \
 		tar -xzf axe-core-$(AXE).tgz --strip-components 1 package/axe.min.js && rm axe-core-$(AXE).tgz
 	touch $@

@@ -33,7 +33,8 @@ running=$(systemctl list-units --plain --no-legend --state=active,activating,rel
 
 echo "installing into $prefix"
 "$python" -m venv "$prefix"
-"$prefix/bin/pip" install --quiet --upgrade "$project[panel,recorder,ros2]"
+"$prefix/bin/pip" install --quiet --upgrade --constraint "$project/deploy/versions.txt" \
+  "${project}[panel,pictures,recorder,ros2]"
 # numba cannot load kernels compiled from another version. The first start compiles them again.
 rm -rf /var/cache/private/hyperbit-arms/*/numba
 rm -rf "$prefix/README.md" "$prefix/doc"

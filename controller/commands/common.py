@@ -13,6 +13,7 @@ import json
 import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -80,9 +81,17 @@ def check_output(path: Path) -> None:
         path.unlink()
 
 
+def check_picture(path: Path) -> None:
+    """Refuses a picture that cannot be drawn or written, before the work begins."""
+    if find_spec("matplotlib") is None:
+        raise CommandFailed("pictures need matplotlib", "pip install 'hyperbit[pictures]'")
+    check_output(path)
+
+
 @contextlib.contextmanager
 def drawing(picture: Path) -> Iterator[None]:
-    """Refuses a picture that cannot be written, or whose suffix names no format."""
+    """Refuses a picture that cannot be drawn or written, or whose suffix names no format."""
+    check_picture(picture)
     try:
         yield
     except (OSError, ValueError) as error:

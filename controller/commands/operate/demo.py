@@ -28,7 +28,7 @@ from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.patience import patient_copy
 from hyperbit.controller.commands.common import (
     CommandFailed,
-    check_output,
+    check_picture,
     console,
     densities_of,
     errors,
@@ -65,7 +65,7 @@ def demo(
     path = file or shipped("planar16.yaml")
     arm = load_wired(path)
     for output in filter(None, (picture, animation)):
-        check_output(output)
+        check_picture(output)
     # The picture needs matplotlib, which is imported while the daemon starts.
     threading.Thread(target=importlib.import_module, args=("matplotlib.figure",), daemon=True).start()
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as pool:

@@ -10,7 +10,7 @@ from hyperbit.controller.arm.arm import load
 from hyperbit.controller.armfile.units import unit_mark
 from hyperbit.controller.commands.arguments import ArmFile, AsJson, Picture
 from hyperbit.controller.commands.common import (
-    check_output,
+    check_picture,
     configuration,
     console,
     densities_of,
@@ -72,7 +72,7 @@ def figure5(
     """Repeat the paper's experiment of section 4: three targets, three algorithms."""
     from hyperbit.controller.pictures.figure5 import experiment, save
 
-    check_output(picture)
+    check_picture(picture)
 
     arm = load(shipped("planar16.yaml"))
     densities = densities_of(arm, silent=as_json)

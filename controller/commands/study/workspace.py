@@ -15,7 +15,7 @@ from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.armfile.units import unit_mark
 from hyperbit.controller.commands.arguments import ArmFile, AsJson, Dask, Picture, Tolerance, Workers
 from hyperbit.controller.commands.common import (
-    check_output,
+    check_picture,
     console,
     densities_of,
     drawing,
@@ -67,7 +67,7 @@ def workspace(
     from hyperbit.controller.workspace.locked_reach import LockChoices, reach_when_locked
     from hyperbit.controller.workspace.orientations import orientations_at
 
-    check_output(picture)
+    check_picture(picture)
     arm = load(file)
     reduced, own = arm.reduced, arm.tolerance if tolerance is None else tolerance
     if not 1e-9 <= own <= 1e6:
