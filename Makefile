@@ -9,7 +9,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # Robots and tests have the same versions.
 LOCK := deploy/versions.txt
 
-.PHONY: demo panel test page-test vm vm-test vcan-test ros2-test check bench fleet fuzz soak mutants lock clean
+.PHONY: demo panel test page-test vm vm-test vcan-test ros2-test check bench fleet fuzz soak mutants lock wheels clean
 
 demo: $(VENV)/kernels
 	$(BIN)/hyperbit demo
@@ -102,6 +102,19 @@ mutants: $(VENV)/installed
 lock: $(VENV)/installed
 	$(BIN)/pip install --quiet --upgrade --upgrade-strategy eager --editable '.[dev]'
 	$(BIN)/python -m tests.deploy.versions
+
+# A folder from which a robot without a network installs: install.sh and the wheels of all that the lock names. It is for
+# computers as this one, or for others: make wheels ROBOT=aarch64 ROBOT_PYTHON=3.13
+ROBOT := $(shell uname -m)
+ROBOT_PYTHON := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+WHEELS := build/wheels-$(ROBOT)-$(ROBOT_PYTHON)
+GLIBC := $(shell seq 17 36)  # of the robot, 2.17 to Debian 12's 2.36
+wheels: $(VENV)/program
+	rm -rf build/lib $(WHEELS)
+	$(BIN)/pip wheel --quiet --no-deps --wheel-dir $(WHEELS) .
+	$(BIN)/pip download --quiet --no-deps --only-binary :all: --dest $(WHEELS) --python-version $(ROBOT_PYTHON) \
+		$(GLIBC:%=--platform manylinux_2_%_$(ROBOT)) --platform manylinux2014_$(ROBOT) --requirement $(LOCK)
+	cp deploy/install.sh $(LOCK) $(WHEELS)
 
 # The program alone.
 $(VENV)/program: pyproject.toml $(LOCK)

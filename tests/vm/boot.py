@@ -12,7 +12,7 @@ import sys
 
 from tests.vm.prepare import ALONE, FOLDER, PROJECT, TESTS, Missing, prepare, say
 
-ESSENTIAL = [ALONE, "-k", "not clock and not interface and not certificates"]
+ESSENTIAL = [ALONE, "-k", "not clock and not interface and not certificates and not beside"]
 LONGEST = 3600.0  # [s]
 BASE = 16  # added by the guest to pytest's exit code, to tell it from QEMU's own
 

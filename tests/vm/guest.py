@@ -28,7 +28,7 @@ WITHOUT_KERNELS = ["--noconftest"]  # tests/conftest.py imports them, for half a
 PROCESSES = 3  # that share the tests outside of tests/vm
 SLOW = ("test_processes.py", "test_kills.py", "test_faults.py", "test_setpoints.py")  # files that begin first
 OUTCOMES = "outcomes"  # the name of files to which each test adds a line
-SERVICE_CACHE = Path("/var/cache/private/hyperbit-arms/arm")
+INSTALLED = Path("/opt/hyperbit/versions")
 VERDICT = Path("/dev/port"), 0xF4  # isa-debug-exit: QEMU ends with twice the byte that is written there, plus 1
 
 
@@ -129,7 +129,7 @@ def run_and_tell(processes: int, arguments: list[str]) -> int:
 
 def compiled_since(begin: Path) -> list[Path]:
     """Returns the files of kernels that were compiled after a file was written."""
-    kernels = chain(FOLDER.glob("cache/**/*.nbc"), SERVICE_CACHE.glob("**/*.nbc"))
+    kernels = chain(FOLDER.glob("cache/**/*.nbc"), INSTALLED.glob("**/*.nbc"))
     return [path for path in kernels if path.stat().st_mtime > begin.stat().st_mtime]
 
 

@@ -18,6 +18,9 @@ from pathlib import Path
 PROJECT = Path(__file__).parents[2]
 FOLDER = PROJECT / "build" / "vm"
 HERE = Path(__file__).parent
+WHEELS = FOLDER / "wheels"  # from which the robot installs, without a network
+PYTHON = "/usr/bin/python3"  # the robot's
+VERSION = 'import sys; print("%d.%d" % sys.version_info[:2])'
 ALONE = "tests/vm"  # tests of the installed services, which need the machine for themselves
 TESTS = [ALONE, "tests/system"]
 
@@ -33,7 +36,7 @@ NEEDED = {
     "/lib/systemd/systemd": "systemd",
     "udevadm": "udev",
     "ip": "iproute2",
-    "/usr/bin/python3": "python3-venv",
+    PYTHON: "python3-venv",
 }
 
 
@@ -55,7 +58,7 @@ def prepare(tests: Sequence[str]) -> None:
     parts: list[Callable[[], None]] = []
     if any(not path.startswith(ALONE) for path in tests):
         parts.append(lambda: warm(TESTS))
-    sources = [HERE / "robot.sh", *installed()]
+    sources = [HERE / "robot.sh", PROJECT / "Makefile", *installed()]
     if any(path.startswith(ALONE) for path in tests) and older(FOLDER / "robot.installed", sources):
         parts.append(install)
     with ThreadPoolExecutor() as pool:  # each compiles on one processor
@@ -154,7 +157,9 @@ def install() -> None:
     if os.geteuid() != 0:
         raise Missing("root is needed to install the services: sudo make vm-test")
     say("installing the services")
-    run(["unshare", "--mount", "sh", str(HERE / "robot.sh"), str(FOLDER / "robot")])
+    python = subprocess.run([PYTHON, "-c", VERSION], capture_output=True, text=True, check=True).stdout.strip()
+    run(["make", "wheels", f"WHEELS={WHEELS}", f"ROBOT_PYTHON={python}"])
+    run(["unshare", "--mount", "--net", "sh", str(HERE / "robot.sh"), str(FOLDER / "robot"), str(WHEELS)])
     (FOLDER / "robot.installed").touch()
 
 

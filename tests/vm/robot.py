@@ -17,10 +17,9 @@ T = TypeVar("T")
 
 ARM = Path("/etc/hyperbit/arm.yaml")
 PLANNER, EXECUTOR = "hyperbit@arm", "hyperbit-executor@arm"  # services
-CACHE = Path("/var/cache/private/hyperbit-arms/arm")
 STATE = {PLANNER: Path("/var/lib/private/hyperbit-arms/arm/planner")}
 STATE[EXECUTOR] = STATE[PLANNER].with_name("executor")
-ENVIRONMENT = {**os.environ, "NUMBA_CACHE_DIR": str(CACHE / "numba")}  # holds compiled kernels
+ENVIRONMENT = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}  # the tests' own kernels
 
 # CAN identifiers (CiA 301, 7.3.5) and states of a heartbeat (7.2.8.3.2.2).
 NMT, SYNC, RPDO, SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x000, 0x080, 0x200, 0x580, 0x600, 0x700

@@ -1,8 +1,10 @@
 #!/bin/sh
-# robot.sh FOLDER: installs hyperbit as on a robot's computer, over a version of one service, and keeps in FOLDER the files
-# that this writes. Run it in a mount namespace of its own (unshare --mount), where nothing of this computer changes.
+# robot.sh FOLDER WHEELS: installs hyperbit as on a robot's computer, over a version of one service, then upgrades it, and
+# keeps in FOLDER the files that this writes. Run it in namespaces of its own for mounts and network (unshare --mount --net):
+# nothing of this computer changes, and there is no network.
 set -eu
 layer=$1
+wheels=$2
 project=$(cd "$(dirname "$0")/../.." && pwd)
 
 memory=$layer.memory
@@ -49,15 +51,21 @@ mkdir -m 700 /var/lib/private/hyperbit-executor
 touch /var/lib/private/hyperbit-executor/other.switches
 { echo '// /run/credentials/hyperbit.service/hyperbit.ca.pem'; cat "$project/deploy/zenoh.json5"; } > /etc/hyperbit/zenoh.json5
 
-# The first start compiles for minutes where the processor is emulated. Compile here, for any processor.
-mkdir -p -m 700 /var/cache/private
-export NUMBA_CPU_NAME=generic NUMBA_CACHE_DIR=/var/cache/private/hyperbit-arms/arm/numba
-rm -rf "$project/build/lib" # an earlier build must not be installed
 arm=$memory/arm.yaml # with two buses
 sed 's/^  - {name: can0, .*/  - {name: can0, channel: can0, bitrate: 500000}\n  - {name: can1, channel: can1, bitrate: 250000}/' \
   "$project/deploy/planar16.yaml" > "$arm"
-PATH=/usr/sbin:/usr/bin:/sbin:/bin SYSTEMD_OFFLINE=1 "$project/deploy/install.sh" "$arm"
-/opt/hyperbit/bin/python -P -m hyperbit.controller.host.kernels
+export PATH=/usr/sbin:/usr/bin:/sbin:/bin SYSTEMD_OFFLINE=1 NUMBA_CPU_NAME=generic # kernels for any processor
+NUMBA_DISABLE_JIT=1 "$wheels/install.sh" "$arm" # without kernels
+
+# Up to version 0.3 the virtual environment was /opt/hyperbit itself, without kernels.
+cd /opt/hyperbit
+first=$(readlink -f current)
+rm -r bin doc current "$first/doc" "$first/units" "$first/versions.txt"
+mv "$first"/* .
+rm -r versions
+find bin -type f -exec sed -i "s#$first/bin#$PWD/bin#" {} +
+cd "$project"
+"$wheels/install.sh"
 
 # Six times the units' own times, as the tests' times.
 for service in hyperbit@ hyperbit-executor@; do mkdir "/etc/systemd/system/$service.service.d"; done
