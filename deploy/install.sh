@@ -18,6 +18,7 @@ here=$(cd "$(dirname "$0")" && pwd -P)
 prefix=/opt/hyperbit
 python=${PYTHON:-python3}
 units=/etc/systemd/system
+catalog=/usr/local/lib/systemd/catalog/hyperbit.catalog
 space=1000 # MB of free disk that an installation needs, most of it for a while
 
 fail() {
@@ -172,10 +173,11 @@ arm=$target/doc/deploy/planar16.yaml
 [ ! -e "$target/arm/arm.yaml" ] || arm=$target/arm/arm.yaml
 arm=${given:-$arm}
 echo "checking $arm"
-"$target/bin/hyperbit" check "$arm"
+"$target/bin/hyperbit" check "$arm" || fail "$target refuses this arm, see above"
 for enabled in "$units"/multi-user.target.wants/hyperbit@*.service; do
   name=${enabled##*/hyperbit@} name=${name%.service}
-  case $name in arm | '*') ;; *) "$target/bin/hyperbit" check "/etc/hyperbit/$name.yaml" ;; esac
+  case $name in arm | '*') continue ;; esac
+  "$target/bin/hyperbit" check "/etc/hyperbit/$name.yaml" || fail "$target refuses this arm, see above"
 done
 if [ -n "$given" ]; then
   install -D -m 644 "$given" "$target/arm/arm.yaml"
@@ -276,7 +278,10 @@ done
 if [ -e "$prefix/pyvenv.cfg" ]; then
   old=$prefix/versions/0.3
   mkdir -p "$old/units"
-  cp "$units"/hyperbit*.service /usr/local/lib/systemd/catalog/hyperbit.catalog "$old/units"
+  for unit in "$target"/units/*.service; do
+    [ ! -e "$units/${unit##*/}" ] || cp "$units/${unit##*/}" "$old/units"
+  done
+  [ ! -e "$catalog" ] || cp "$catalog" "$old/units"
   for part in bin include lib64 lib share doc bus.network pyvenv.cfg; do
     if [ -e "$prefix/$part" ] || [ -L "$prefix/$part" ]; then
       mv "$prefix/$part" "$old"
@@ -295,17 +300,22 @@ rm -f "$prefix/next"
 ln -sfn current/bin "$prefix/bin"
 ln -sfn current/doc "$prefix/doc"
 ln -sf "$prefix/bin/hyperbit" /usr/local/bin/hyperbit
-for unit in "$units"/hyperbit*.service; do
-  if [ ! -e "$target/units/${unit##*/}" ] && [ ! -L "$unit" ] && [ -e "$unit" ]; then
-    systemctl disable --quiet "${unit##*/}" || true
-    rm "$unit"
+# Services that the present version has and the other one has not.
+if [ -e "$units/hyperbit.service" ]; then
+  systemctl disable hyperbit.service
+  rm -f "$units/hyperbit.service" "$units/hyperbit-executor.service"
+fi
+for unit in "${present:-$target}"/units/*.service; do
+  if [ ! -e "$target/units/${unit##*/}" ]; then
+    systemctl disable "${unit##*/}"
+    rm -f "$units/${unit##*/}"
   fi
 done
 for unit in "$target"/units/*.service; do
   mv "$units/${unit##*/}.new" "$units/${unit##*/}"
 done
 # Explanations for `journalctl -x`.
-install -D -m 644 "$target/units/hyperbit.catalog" /usr/local/lib/systemd/catalog/hyperbit.catalog
+[ ! -e "$target/units/hyperbit.catalog" ] || install -D -m 644 "$target/units/hyperbit.catalog" "$catalog"
 journalctl --update-catalog
 systemctl daemon-reload
 [ "$task" = back ] || systemctl enable hyperbit@arm.service

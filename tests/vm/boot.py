@@ -27,7 +27,7 @@ QEMU = [
 ]
 KERNEL = "console=ttyS0 loglevel=3 panic=-1 mitigations=off fstab=no apparmor=0 audit=0 tsc=reliable clocksource=tsc"
 # Without timers: a clock that is set an hour forward would start Debian's daily jobs.
-SYSTEMD = "systemd.show_status=no systemd.unit=hyperbit-tests.service systemd.mask=timers.target"
+SYSTEMD = "systemd.show_status=no systemd.unit=tests-of-hyperbit.service systemd.mask=timers.target"
 
 
 def share(tag: str, path: str) -> list[str]:

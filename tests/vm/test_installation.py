@@ -16,7 +16,7 @@ PREFIX = Path("/opt/hyperbit")
 PRESENT, IN_PLACE, BESIDE = version("hyperbit"), "0.3", f"{version('hyperbit')}-2"  # folders of versions
 
 pytestmark = pytest.mark.skipif(
-    not Path("/etc/systemd/system/hyperbit-tests.service").exists(),
+    not Path("/etc/systemd/system/tests-of-hyperbit.service").exists(),
     reason="needs the installed services: only in the virtual machine of `make vm-test`",
 )
 

@@ -47,7 +47,7 @@ UPGRADED = {"actuator": "1.left", "switches": 1000}  # in the ledger that robot.
 NOBODY = ("setpriv", "--reuid=65534", "--regid=65534")
 
 pytestmark = pytest.mark.skipif(
-    not Path("/etc/systemd/system/hyperbit-tests.service").exists(),
+    not Path("/etc/systemd/system/tests-of-hyperbit.service").exists(),
     reason="needs the installed services: only in the virtual machine of `make vm-test`",
 )
 
