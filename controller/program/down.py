@@ -7,6 +7,7 @@ from msgspec import Meta
 from hyperbit.controller.program.parts import (
     MOST_ACTUATORS,
     MOST_STAGES,
+    MOST_WATCH,
     Message,
     Number,
     Seconds,
@@ -19,11 +20,12 @@ from hyperbit.controller.program.parts import (
 class Hello(Message, frozen=True, tag="hello"):
     """The first message of a client.
 
-    Only one `planner` can be connected. An `operator` can only stop the arm, and read errors of boards.
+    Only one `planner` or `commissioner` can be connected. While a commissioner is, no end-stop is believed, and the arm
+    moves by `Trial` only. An `operator` can only stop the arm, and read errors of boards.
     """
 
     version: int
-    role: Literal["planner", "operator"]
+    role: Literal["planner", "operator", "commissioner"]
     arm: Text
 
 
@@ -57,6 +59,21 @@ class Program(Message, frozen=True, tag="program"):
     context: Annotated[bytes, Meta(max_length=8_192)] = b""
     homed: States = b""  # packed mask
     until: Seconds = 1e12  # later it is declined, because its client no longer waits [s]
+
+
+class Trial(Message, frozen=True, tag="trial"):
+    """Command one actuator to a state, and watch all inputs. It runs as a program does, and never beside another one.
+
+    No other output is switched: nothing else is homed, and locked actuators stay as they are. Its `Ended` has the
+    inputs and their changes.
+    """
+
+    program: Number  # as that of a `Program`
+    epoch: Number
+    actuator: Annotated[int, Meta(ge=0, lt=MOST_ACTUATORS)]
+    state: Annotated[int, Meta(ge=0, le=1)]
+    watch: Annotated[float, Meta(ge=0, le=MOST_WATCH)]  # for which the inputs are watched at least [s]
+    until: Seconds  # later it is declined, because nobody waits for it any longer [s]
 
 
 class Replacement(Message, frozen=True, tag="replacement"):
@@ -160,6 +177,7 @@ Down = (
     Hello
     | Alive
     | Program
+    | Trial
     | Replacement
     | Setpoint
     | Clearance

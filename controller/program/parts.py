@@ -5,12 +5,14 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-VERSION = 7
+VERSION = 8
 MOST_BYTES = 65_536  # of one message; larger ones are refused unread
 MOST_STAGES = 1_000  # of one message; longer programs are sent in parts
 MOST_PROGRAM_STAGES = 100_000
 MOST_ACTUATORS = 10_000
 MOST_TRAVELS = 100  # reported travels of one program
+MOST_CHANGES = 1_000  # reported changes of inputs of one trial
+MOST_WATCH = 60.0  # [s], longest time for which a trial watches the inputs
 TICK = 0.01  # [s] of the executor's loop
 ALIVE_EVERY = 0.2  # [s] between two messages of the planner
 
@@ -41,6 +43,14 @@ class Travel(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
     actuator: Annotated[int, Meta(ge=0, lt=MOST_ACTUATORS)]  # index
     state: Annotated[int, Meta(ge=0, le=1)]  # of the end, 0 contracted or 1 extended
     seconds: Seconds  # from the SYNC that switched it to its end-stop's frame
+
+
+class Change(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """An input that changed after the switch of a trial."""
+
+    line: Annotated[int, Meta(ge=0)]  # index in the input lines of the wiring
+    level: Annotated[int, Meta(ge=0, le=1)]
+    seconds: Seconds  # since the SYNC of the switch
 
 
 Stages = Annotated[tuple[Stage, ...], Meta(max_length=MOST_STAGES)]

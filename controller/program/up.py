@@ -5,7 +5,20 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from hyperbit.controller.program.parts import MOST_TRAVELS, Index, Message, Mode, Number, Seconds, States, Text, Travel
+from hyperbit.controller.program.parts import (
+    MOST_ACTUATORS,
+    MOST_CHANGES,
+    MOST_TRAVELS,
+    Change,
+    Index,
+    Message,
+    Mode,
+    Number,
+    Seconds,
+    States,
+    Text,
+    Travel,
+)
 from hyperbit.controller.refusals.refusal import Refused
 
 
@@ -130,6 +143,9 @@ class Ended(Message, frozen=True, tag="ended"):
     known: States  # 1 where the measured state is known
     travels: Annotated[tuple[Travel, ...], Meta(max_length=MOST_TRAVELS)] = ()  # the first MOST_TRAVELS
     verified: bool = True  # end-stops or read-back outputs have confirmed each switch, unless the arm's file forgoes it
+    # of a trial: levels of the input lines before its switch, packed, and their first MOST_CHANGES changes since
+    inputs: Annotated[bytes, Meta(max_length=MOST_ACTUATORS)] = b""
+    changes: Annotated[tuple[Change, ...], Meta(max_length=MOST_CHANGES)] = ()
 
 
 class Counted(Message, frozen=True, tag="counted"):

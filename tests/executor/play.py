@@ -30,6 +30,7 @@ from hyperbit.controller.program import (
     Settled,
     Stage,
     Stop,
+    Trial,
     pack,
     unpack,
 )
@@ -131,6 +132,14 @@ class Play:
                 rig.send(Reset(self.requests, rig.epoch - len(words)), client)  # "reset late": of the epoch before
             case "cancel", _:
                 rig.send(Cancel(self.requests, int(words[0]) if words else None, said or "canceled; the arm holds"))
+            case "commissioner", ["connects"]:
+                rig.connect(PLANNER, "commissioner")
+            case "try", [actuator, state, *more]:  # "epoch 3", "until -1", "watch 0.5"
+                given = dict(zip(more[::2], map(float, more[1::2]), strict=True))
+                rig.programs += 1
+                until, epoch = rig.now + given.get("until", 1.0), int(given.get("epoch", rig.epoch))
+                watch = given.get("watch", 0.2)
+                rig.send(Trial(rig.programs, epoch, int(actuator), int(state), watch, until))
             case "lock", [actuator, state]:
                 rig.send(Lock(self.requests, int(actuator), int(state)))
             case "clear", _:
@@ -305,6 +314,7 @@ FACTS: dict[str, Callable[[Play], Any]] = {
     "message": lambda play: play.new(Ended)[-1].message,
     "switches": lambda play: play.new(Ended)[-1].switches,
     "verified": lambda play: "yes" if play.new(Ended)[-1].verified else "no",
+    "changes": lambda play: [f"{change.line}{'-+'[change.level]}" for change in play.new(Ended)[-1].changes],
     "faults": lambda play: " & ".join(f"{code} {source}" for code, source in play.rig.faults) or "none",
     "marks": lambda play: [message.mark for message in play.new(Settled)],
     "counted": lambda play: [message.switches for message in play.new(Settled)],

@@ -20,6 +20,7 @@ from hyperbit.controller.program import (
     Clearance,
     Counts,
     Declined,
+    Down,
     Ended,
     Goodbye,
     Lock,
@@ -35,6 +36,7 @@ from hyperbit.controller.program import (
     unpack,
 )
 from tests.simulation.agenda import Agenda
+from tests.simulation.executor.commissioner import commissioning
 from tests.simulation.executor.connection import Connection
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.executor.programs import Author, Drawn
@@ -59,6 +61,7 @@ ACTS = {
         "acknowledge": 8,
         "operator": 1,
         "fault to play": 1,
+        "commission": 1.5,
     },
 }
 CALM_PATIENCE = {"": 0.01, "clear": 0.03, "touched": 0.03, "silent": 1e6, "stream": 0.12}  # [s] until an answer
@@ -71,6 +74,7 @@ class ScriptedPlanner:
     """The planner's process and its connection to the executor.
 
     Attributes:
+        commissions: it connects as a commissioner, in the planner's place.
         calm: it sends only the resets that are needed, and unlocks actuators.
         unlocks: whether it unlocks actuators while it is calm.
         patient: while it is calm, it waits for faults to clear by themselves.
@@ -81,7 +85,7 @@ class ScriptedPlanner:
     """
 
     def __init__(self, arm: ExecutedArm, agenda: Agenda, random: Random, executor: ExecutorProcess) -> None:
-        self.calm, self.patient, self.unlocks = False, False, True
+        self.calm, self.patient, self.unlocks, self.commissions = False, False, True, False
         self.snapshot: Snapshot | None = None
         self.results: list[int] = []
         self._arm, self._agenda, self._random, self._executor = arm, agenda, random, executor
@@ -121,6 +125,13 @@ class ScriptedPlanner:
 
     def be_calm(self, calm: bool) -> None:
         self.calm, self._wanted = calm, -1
+        if calm and self.commissions:
+            self.commission(False)
+
+    def commission(self, begin: bool) -> None:
+        """Connects again as a commissioner, or as a planner."""
+        self.commissions = begin
+        self.die()
 
     def die(self) -> None:
         """Ends the process; the next one starts with the next period."""
@@ -173,14 +184,21 @@ class ScriptedPlanner:
         if self.awake:
             if self.connection.client is None:
                 self._answered = self._request
-                self.connection.open()
+                self.connection.open("commissioner" if self.commissions else "planner")
             elif self.connection.client is not None:
                 self.connection.send(Alive())
         self._agenda.after(ALIVE_EVERY * self._random.uniform(0.9, 1.0), self._live)
 
     def _act(self) -> None:
         if self.connection.client is not None and self.snapshot is not None and self.awake:
-            self._calm_act(self.snapshot) if self.calm else self._perform(self.snapshot)
+            if self.calm:
+                self._calm_act(self.snapshot)
+            elif self.commissions:
+                self._number += 1
+                act, message = commissioning(self._author, self._random, self.snapshot, self._number, self._agenda.now)
+                self._carry_out(act, message)
+            else:
+                self._perform(self.snapshot)
         self._agenda.after(0.2 if self.calm else self._random.expovariate(20.0), self._act)
 
     def _calm_act(self, snapshot: Snapshot) -> None:
@@ -318,6 +336,20 @@ class ScriptedPlanner:
                 self._acknowledge()
             case "operator" if random.random() < 0.5:
                 self.connection.halt()
+            case "commission":
+                self.commission(True)
+
+    def _carry_out(self, act: str, message: Down | None) -> None:
+        """Does what a commissioner does."""
+        match act:
+            case "acknowledge":
+                self._acknowledge()
+            case "operator":
+                self.connection.halt()
+            case "planner":
+                self.commission(False)
+            case _ if message is not None:
+                self.connection.send(message)
 
     def _ledger(self) -> tuple[int, ...]:
         """Returns counts of the ledger: lower ones, some that are greater than the executor's, or too few."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.core.events import Event, FromClient
-from hyperbit.controller.program import Accepted, Ended, Program, Replaced, Replacement, Snapshot, Up
+from hyperbit.controller.program import Accepted, Ended, Program, Replaced, Replacement, Snapshot, Trial, Up
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.agenda import Agenda
@@ -33,7 +33,7 @@ class Record(Witness):
         count = len(arm.actuators)
         self.counts: Counter[str] = Counter()
         self.instance = 0
-        self.programs: dict[tuple[int, int], Program] = {}
+        self.programs: dict[tuple[int, int], Program | Trial] = {}
         self.results: dict[tuple[int, int], int] = {}
         self.synced, self.slack = [0] * count, [0] * count
         self.suspect = self.fallen = 0
@@ -67,9 +67,10 @@ class Record(Witness):
         match message:
             case Accepted():
                 program = self._message
-                assert isinstance(program, Program), "only a program is accepted"
+                assert isinstance(program, Program | Trial), "only a program or a trial is accepted"
                 self.programs[self.instance, program.program] = program
-                self.counts["strict"] += program.strict
+                self.counts["strict"] += isinstance(program, Program) and program.strict
+                self.counts["trials"] += isinstance(program, Trial)
             case Replaced(accepted=True) if isinstance(self._message, Replacement):
                 self.counts["parked"] += not self._message.stages
             case Ended():

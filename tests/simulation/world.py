@@ -36,7 +36,7 @@ from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.one_fault import one_fault
 from tests.simulation.whole.planned_arms import draw_planned_arm
 
-ROUNDS = ("one fault",) * 5 + ("requests",) * 3 + ("trouble",)  # of worlds with a scripted planner
+ROUNDS = ("one fault",) * 5 + ("requests",) * 3 + ("commission", "trouble")  # of worlds with a scripted planner
 WHOLE_TROUBLED = 0.9  # share of the rounds of a whole daemon that have a time with many faults
 PEACEFUL = 0.2  # share of the worlds with the whole daemon that have no trouble
 FILES = 0.9  # share of the arms that are written to a file and read
@@ -135,7 +135,10 @@ class World(StruckWorld):
             self.single_faults.happen()
             return
         self.planner.be_calm(False)
-        if kind == "requests":
+        if kind == "commission" and isinstance(self.planner, ScriptedPlanner):
+            self.planner.commission(True)
+            self.pass_time(self._random.uniform(2.0, 6.0))
+        elif kind == "requests":
             self.pass_time(self._random.uniform(0.5, 2.5))
         else:
             self._trouble(6.0)

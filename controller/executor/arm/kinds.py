@@ -36,7 +36,7 @@ class Ends(NamedTuple):
 
 
 class Kinds:
-    """The kinds of A actuators; immutable.
+    """The kinds of A actuators. Only `believe` changes them.
 
     An actuator has one output and a spring, or a pair of outputs. At most one output of a pair is on. While both are
     off, the actuator stays in its state. Outputs and inputs are masks of lines, in the order of `Wiring`.
@@ -46,6 +46,7 @@ class Kinds:
         ends_extended, ends_contracted, sensed: masks of those with an end-stop at this end, and at any end.
         trusted: mask of actuators without verification (`verify: false` in the arm's file).
         pulse: length of the pulse by actuator index [s].
+        believed: whether the end-stops are; otherwise each actuator counts as one without.
         travel: longest times to the contracted and to the extended end, shape (A, 2) [s].
         margin: settle margin, added to these times before an actuator counts as late, shape (A,) [s].
     """
@@ -54,13 +55,13 @@ class Kinds:
         channels, self._size = wiring.channels, len(wiring.channels)
         self.everything = (1 << self._size) - 1
         self._pairs, self._ended = wiring.paired, wiring.ended
-        self.paired, self.ends_contracted = mask_of(self._pairs), mask_of(self._ended)
+        self.paired = mask_of(self._pairs)
         self.pulse = {k: channel.pulse for k, channel in enumerate(channels) if channel.pulse is not None}
         self.pulsed = mask_of(self.pulse)
-        self.ends_extended = mask_of(k for k, channel in enumerate(channels) if channel.input is not None)
-        self.sensed = self.ends_extended | self.ends_contracted
         unverified = {(node.bus, node.node) for node in wiring.nodes if not node.verify}
-        self.trusted = mask_of(k for k, c in enumerate(channels) if (c.bus, c.node) in unverified) & ~self.sensed
+        self._unverified = mask_of(k for k, c in enumerate(channels) if (c.bus, c.node) in unverified)
+        self._inputs = mask_of(k for k, channel in enumerate(channels) if channel.input is not None)
+        self.believe(True)
         times = timing.travel_time
         self.travel = tuple((times, times) if channel.travel is None else channel.travel for channel in channels)
         self.margin = tuple(
@@ -68,6 +69,13 @@ class Kinds:
         )
         self.interlocks = wiring.interlocks  # in the order of their input lines
         self._first_interlock = self._size + len(self._ended)
+
+    def believe(self, ends: bool) -> None:
+        """Believes the end-stops, or takes each actuator for one without."""
+        self.ends_extended, self.ends_contracted = (self._inputs, mask_of(self._ended)) if ends else (0, 0)
+        self.sensed = self.ends_extended | self.ends_contracted
+        self.trusted = self._unverified & ~self.sensed
+        self.believed = ends
 
     def outputs(self, states: int, on: int) -> int:
         """Returns the outputs for states. Of the paired actuators, only those of the mask `on` have an output on."""
@@ -100,7 +108,8 @@ class Kinds:
         if not self._ended:
             return Ends(inputs & self.ends_extended, 0)
         contracted = inputs >> self._size
-        return Ends(inputs & self.ends_extended, mask_of(k for i, k in enumerate(self._ended) if contracted >> i & 1))
+        closed = mask_of(k for i, k in enumerate(self._ended) if contracted >> i & 1)
+        return Ends(inputs & self.ends_extended, closed & self.ends_contracted)
 
     def definite(self, ends: Ends) -> int:
         """Returns the mask of the actuators whose end-stops show a state.

@@ -2,7 +2,7 @@
 
 from hyperbit.controller import program
 from hyperbit.controller.executor.core.events import ClientId
-from hyperbit.controller.executor.core.requests import Clients
+from hyperbit.controller.executor.core.clients import Clients
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.run.master import Master
 from hyperbit.drivers.canopen.wiring import Wiring

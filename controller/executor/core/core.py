@@ -11,10 +11,11 @@ from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core import events
 from hyperbit.controller.executor.core.board_errors import BoardErrorRequests
+from hyperbit.controller.executor.core.clients import Clients
 from hyperbit.controller.executor.core.ending import Ending
 from hyperbit.controller.executor.core.modes import CLEARING, Modes
 from hyperbit.controller.executor.core.reports import Reports
-from hyperbit.controller.executor.core.requests import ClientRequests, Clients
+from hyperbit.controller.executor.core.requests import ClientRequests
 from hyperbit.controller.executor.motion.motion import ArmMotion
 from hyperbit.controller.executor.motion.program_execution import ProgramResults
 from hyperbit.controller.host.process import Log, Notify, Quit
@@ -117,7 +118,10 @@ class Executor:
         assert runs == (mode == "executing"), f"something runs: {runs}, in mode {mode}"
         assert bool(self.modes.faults) or mode != "fault", "mode fault without a fault"
         assert not self.modes.faults or mode not in ("ready", "executing"), f"{self.modes.faults} in mode {mode}"
-        assert clients.planner is None or clients.roles[clients.planner] == "planner"
+        driver = None if clients.planner is None else clients.roles[clients.planner]
+        assert driver in (None, "planner", "commissioner")
+        assert motion.kinds.believed == (driver != "commissioner"), f"end-stops are believed beside a {driver}"
+        assert motion.kinds.believed or motion.stream is None, "a set-point is followed while the arm is commissioned"
         assert not self.locked.states & ~self.locked.mask, "a state without a lock"
 
     def _fail(self, text: str, now: float) -> None:
@@ -141,8 +145,11 @@ class Executor:
                 self.reports.receive_health(event)
                 self.clients.to_all(self.reports.diagnostics(now))
             case events.ClientGone():
+                role = self.clients.roles.get(event.client)
                 if self.clients.remove(event.client):
-                    self.lose_planner("the planner is gone")
+                    self.lose_planner(f"the {role} is gone")
+                if role == "commissioner":
+                    self.modes.believe(True, now)
             case events.FaultPlayed():
                 self.requests.receive_fault_played(event)
             case events.Defect():
@@ -197,8 +204,8 @@ class Executor:
             self.modes.fail(fault, now)
         if self.board_errors.waiting:
             self.board_errors.answer()
-        if self.clients.fell_silent(self.motion.clock):
-            self.lose_planner("the planner is silent")
+        if (silent := self.clients.fell_silent(self.motion.clock)) is not None:
+            self.lose_planner(f"the {silent} is silent")
         self._advance(now)
         self.ending.advance(now)
         self.modes.recover(now)
@@ -247,8 +254,10 @@ class Executor:
                 arm, counts, greatest = self._arm, tuple(self.journal.counts), self.requests.greatest
                 known = arm.name, arm.digest, self._instance, counts, greatest, self._simulation
                 self._to_client(client, program.Welcome(program.VERSION, *known))
-                if message.role == "planner":
+                if message.role != "operator":
                     self._results.send_again()
+                if message.role == "commissioner":
+                    self.modes.believe(False, now)
                 self.reports.changed = True
             case _ if client not in self.clients.roles:
                 self._to_client(client, program.Goodbye("Hello must be the first message"))

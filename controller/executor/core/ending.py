@@ -54,6 +54,8 @@ class Ending:
             if warning is not None:
                 self._act(Log(logging.WARNING, warning))
                 modes.enter(modes.mode, f"the executor is shutting down; {warning}")
+        elif not self._motion.kinds.believed:
+            self._act(Log(logging.WARNING, "the arm does not contract before the end (on_stop): it is commissioned"))
         elif modes.mode != "ready":
             self._act(Log(logging.WARNING, f"the arm does not contract before the end (on_stop): it is {modes.mode}"))
         else:

@@ -39,6 +39,7 @@ class Modes:
         self._master, self._motion, self._locked, self._reports, self._act = master, motion, locked, reports, act
         self._clearing, self.simulated = clearing, simulated
         self._booting = self._waits = False  # a boot is under way, or waits for the end of a pulse
+        self._settles = 0.0  # time before which no boot begins [s]
         self._next_try = 0.0
 
     def enter(self, mode: Mode, reason: str) -> None:
@@ -91,6 +92,19 @@ class Modes:
         self.enter("starting", reason)
         self._begin_boot(now)
 
+    def believe(self, ends: bool, now: float) -> None:
+        """Believes the end-stops, or none of them while the arm is commissioned; the boards boot, nothing moves.
+
+        An actuator that was switched without belief travels to its end first. After a stop or a fault, Reset boots.
+        """
+        motion = self._motion
+        self._settles = motion.actuation.free_at
+        motion.kinds.believe(ends)
+        self._master.believe(ends)
+        motion.supervision.reset(0, 0, motion.clock)
+        if self.mode in ("ready", "starting"):
+            self.boot(f"the boards are being booted {'after' if ends else 'for'} a commission", now)
+
     def update(self, now: float) -> None:
         """Reads the master's faults, and detects the end of a boot. Call after each event."""
         for fault in self._master.drain_faults():
@@ -140,7 +154,7 @@ class Modes:
     def _begin_boot(self, now: float) -> None:
         """Starts the master's boot when no switch is under way and no pulse is on: the boot would delay its end."""
         actuation = self._motion.actuation
-        if not actuation.pulsing(now) and not actuation.under_way:
+        if not actuation.pulsing(now) and not actuation.under_way and now >= self._settles:
             self._waits = False
             actuation.told = 0  # overdue pulses are reported again: the boot may fail before the next period
             self._master.boot(now)

@@ -1,12 +1,13 @@
-"""Clients, and their requests: programs, set-points, cancel, stop, reset, lock, faults to play."""
+"""The requests of clients: programs, trials, set-points, cancel, stop, reset, lock, faults to play."""
 
 import logging
-from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from hyperbit.controller import program
 from hyperbit.controller.executor.arm.arm import ExecutedArm
+from hyperbit.controller.executor.arm.kinds import merged
 from hyperbit.controller.executor.arm.locked import LockedActuators
+from hyperbit.controller.executor.core.clients import Clients
 from hyperbit.controller.executor.core.events import Act, ClientId, FaultPlayed, ToClient, ToSimulation
 from hyperbit.controller.executor.core.modes import Modes
 from hyperbit.controller.executor.motion.motion import ArmMotion
@@ -18,68 +19,13 @@ from hyperbit.controller.executor.motion.program_execution import (
     checked_states,
 )
 from hyperbit.controller.host.process import Log
+from hyperbit.controller.program import pack
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal, no_motion
 
-Role = Literal["planner", "operator"]
-
-
-class Clients:
-    """The connected clients, at most one planner and operators, and whether the planner is alive."""
-
-    def __init__(self, arm: str, timeout: float, send: Callable[[ClientId, program.Up], None]) -> None:
-        self.planner: ClientId | None = None
-        self.roles: dict[ClientId, Role] = {}  # role of each client that has sent Hello
-        self._arm, self._timeout, self.send = arm, timeout, send
-        self._heard, self._silent = 0.0, False
-
-    def to_planner(self, message: program.Up) -> None:
-        if self.planner is not None:
-            self.send(self.planner, message)
-
-    def to_all(self, message: program.Up) -> None:
-        for client in self.roles:
-            self.send(client, message)
-
-    def greet(self, client: ClientId, hello: program.Hello, clock: float) -> bool:
-        """Returns whether a client is accepted; a refused client gets a Goodbye with the reason."""
-        reason = self._refusal(client, hello)
-        if reason is not None:
-            self.send(client, program.Goodbye(reason))
-            return False
-        self.roles[client] = hello.role
-        if hello.role == "planner":
-            self.planner = client
-            self.hear(clock)
-        return True
-
-    def hear(self, clock: float) -> None:
-        self._heard, self._silent = clock, False
-
-    def fell_silent(self, clock: float) -> bool:
-        """Returns True once when a connected planner has been silent for longer than `timeout`."""
-        if self.planner is None or self._silent or clock - self._heard < self._timeout:
-            return False
-        self._silent = True
-        return True
-
-    def remove(self, client: ClientId) -> bool:
-        self.roles.pop(client, None)
-        if client != self.planner:
-            return False
-        self.planner = None
-        return True
-
-    def _refusal(self, client: ClientId, hello: program.Hello) -> str | None:
-        if client in self.roles:
-            return "Hello was sent before"
-        if hello.version != program.VERSION:
-            return f"the executor speaks version {program.VERSION} of the contract, this client version {hello.version}"
-        if hello.arm not in (self._arm, "") or (hello.role == "planner" and hello.arm != self._arm):
-            return f"this is the executor of arm {self._arm}, not of {hello.arm[:100]!r}"
-        if hello.role == "planner" and self.planner is not None:
-            return f"a planner is connected already, process {self.planner.pid}; only one may drive the arm"
-        return None
+# what each role but the planner may send here; a planner may send all but a trial
+OPERATORS = (program.Stop,)
+COMMISSIONERS = (program.Trial, program.Cancel, program.Stop, program.Reset, program.PlayFault)
 
 
 class HeldAnswer(NamedTuple):
@@ -116,12 +62,14 @@ class ClientRequests:
 
     def receive_request(self, client: ClientId, message: program.Down, now: float) -> None:
         """Carries out a request, and answers it now or as soon as nothing switches any more."""
-        if self._clients.roles[client] == "operator" and not isinstance(message, program.Stop):
-            self._act(ToClient(client, program.Goodbye("an operator may only stop the arm and read errors")))
+        if (refused := barred(self._clients.roles[client], message)) is not None:
+            self._act(ToClient(client, program.Goodbye(refused)))
             return
         match message:
             case program.Program():
                 self.receive_program(message, now)
+            case program.Trial():
+                self._try(message, now)
             case program.Replacement():
                 self._replace(message)
             case program.Setpoint():
@@ -154,7 +102,43 @@ class ClientRequests:
         self._modes.run(ProgramExecution(message, begin, self._locked))
         self._clients.to_planner(program.Accepted(message.program, begin))
 
-    def _refusal(self, message: program.Program, now: float) -> Refusal | None:
+    def _try(self, message: program.Trial, now: float) -> None:
+        """Runs a trial as a program of one stage, if nothing else runs or moves."""
+        refusal = self._trial_refusal(message, now)
+        if refusal is not None:
+            self._clients.to_planner(program.Declined(message.program, refusal.data))
+            return
+        self._program = message.program
+        before, bit = self._motion.actuation.states, 1 << message.actuator
+        after, size = merged(bit, message.state << message.actuator, before), self._size
+        made = program.Program(
+            program=message.program,
+            epoch=message.epoch,
+            start=pack(before, size),
+            begin=now,
+            stages=(program.Stage(pack(after, size), 0.0, 0, message.watch),),
+            final=True,
+            strict=False,
+            name=f"trial of {self._arm.actuators[message.actuator]}",
+            homed=pack(bit, size),
+        )
+        self._modes.run(ProgramExecution(made, now, LockedActuators(self._arm.actuators), bit))
+        self._clients.to_planner(program.Accepted(message.program, now))
+
+    def _trial_refusal(self, message: program.Trial, now: float) -> Refusal | None:
+        motion, labels = self._motion, self._arm.actuators
+        if (refusal := self._late_refusal(message, now)) is not None:
+            return refusal
+        if self._modes.mode != "ready" or motion.moving or now < motion.actuation.free_at:
+            return Refusal(Reason.PROGRAM_MALFORMED, misfit="a trial waits until nothing else runs or moves")
+        if message.actuator >= len(labels):
+            return Refusal(Reason.NO_SUCH_ACTUATOR, count=len(labels), index=message.actuator)
+        if self._locked.mask >> message.actuator & 1:
+            return Refusal(Reason.PROGRAM_LOCKED, misfit=f"{labels[message.actuator]} is locked")
+        return Refusal(Reason.SWITCH_NOT_CONFIRMED) if motion.busy else None
+
+    def _late_refusal(self, message: program.Program | program.Trial, now: float) -> Refusal | None:
+        """Returns why nothing may begin, or why this request came too late for it."""
         if self.quitting:
             return Refusal(Reason.EXECUTOR_SHUTTING_DOWN)
         if self._modes.mode not in ("ready", "executing"):
@@ -165,6 +149,11 @@ class ClientRequests:
             return Refusal(Reason.TOO_LATE_TO_BEGIN)
         if message.program <= self._program:
             return Refusal(Reason.PROGRAM_MALFORMED, misfit=f"a program of number {self._program} came before")
+        return None
+
+    def _refusal(self, message: program.Program, now: float) -> Refusal | None:
+        if (refusal := self._late_refusal(message, now)) is not None:
+            return refusal
         try:
             start = checked_states(message.start, self._size)
             if message.homed:
@@ -295,6 +284,17 @@ class ClientRequests:
 
     def _refuse(self, client: ClientId, request: int, refusal: Refusal) -> None:
         self._act(ToClient(client, program.Answer(request, str(refusal), refusal.data)))
+
+
+def barred(role: str, message: program.Down) -> str | None:
+    """Returns why a client of a role may not send a request; None if it may."""
+    if role == "operator" and not isinstance(message, OPERATORS):
+        return "an operator may only stop the arm and read errors"
+    if role == "commissioner" and not isinstance(message, COMMISSIONERS):
+        return "a commissioner may only try actuators, cancel, stop and reset"
+    if role == "planner" and isinstance(message, program.Trial):
+        return "only a commissioner may try actuators"
+    return None
 
 
 def _switches(number: int) -> str:

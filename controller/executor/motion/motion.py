@@ -11,6 +11,7 @@ from hyperbit.controller.executor.motion.motion_supervision import MotionSupervi
 from hyperbit.controller.executor.motion.program_execution import (
     EPSILON,
     End,
+    InputWatch,
     ProgramExecution,
     ProgramResults,
     SetpointStream,
@@ -170,10 +171,14 @@ class ArmMotion:
             if running is not None:
                 running.switches += mask.bit_count()
                 running.verified &= not mask & self.kinds.trusted
+                if running.trial & mask:
+                    running.watch = InputWatch(self._master.ends, switched_at if at is None else at)
         if any(self._travel_times.travelling):
             travels = self._travel_times.drain_arrived(self.readings.ends, at)
             if running is not None and len(running.travels) < MOST_TRAVELS:
                 running.travels += travels
+        if running is not None and running.watch is not None:
+            running.watch.see(self._master.ends, self._master.inputs_known, now if at is None else at)
         reached = None if self.actuation.target is None else self.actuation.conclude(now)
         if self._ended is not None and not self.committing:
             self.send_result()
@@ -187,7 +192,11 @@ class ArmMotion:
         execution = self.execution
         if execution is None:
             return None
-        decided = self.supervision.decided() and not self.actuation.unproven
+        concerned = execution.trial or self.kinds.everything
+        if self.actuation.missed & execution.trial and execution.switches and not self.busy:
+            reason = f"holding; {execution.program.name}: its pulse was over before it was read back"
+            return End("aborted", "its pulse was over before it was read back; the arm holds", reason)
+        decided = self.supervision.decided() and not self.actuation.unproven & concerned
         rests = not self.busy and not self.moving and decided
         if rests and execution.settle(now):
             program, counted = execution.program.program, (execution.switches, execution.stages)
@@ -206,7 +215,9 @@ class ArmMotion:
         unknown state in the mask `homed` are homed to `target`. Returns whether a stage may begin.
         """
         before, most, missed = self.actuation.states, self._arm.most, self.actuation.missed
-        states = self._locked.realigned(before, most)
+        states, execution = self._locked.realigned(before, most), self.execution
+        if execution is not None and execution.trial:  # it switches one actuator once, and nothing else
+            states, missed, homed = before, 0, 0 if execution.switches else execution.trial
         homing = first(self.readings.homing & (homed | missed), most - (states ^ before).bit_count())
         states = merged(homing & ~missed, target, states)
         differ = self.actuation.differ(states, homing)

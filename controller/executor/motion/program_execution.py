@@ -4,11 +4,14 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+from hyperbit.controller.executor.arm.kinds import indices, merged
 from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.program import (
+    MOST_CHANGES,
     MOST_PROGRAM_STAGES,
     MOST_TRAVELS,
+    Change,
     Counted,
     Ended,
     Program,
@@ -54,16 +57,19 @@ class ProgramExecution:
         stages: number of stages that switched something since the previous mark.
         strict: no stage is skipped, and none begins before the previous one has settled.
         final: no more stages will come.
+        trial: mask of the one actuator that a trial moves; 0 for every other program.
+        watch: the inputs since the switch of a trial; None before.
     """
 
-    def __init__(self, program: Program, begin: float, locked: LockedActuators) -> None:
-        self.program, self.begin = program, begin
+    def __init__(self, program: Program, begin: float, locked: LockedActuators, trial: int = 0) -> None:
+        self.program, self.begin, self.trial = program, begin, trial
         self.strict, self.final = program.strict, program.final
         self.begun = self.taken = self.mark = -1
         self.switches = self.stages = 0
         self.planned = True  # whether all stages since the previous mark were taken as planned
         self.travels: list[Travel] = []  # travel times measured so far
         self.verified = True  # whether an end-stop or a read-back has confirmed each switched actuator
+        self.watch: InputWatch | None = None
         self._generation = -1
         self._stages = list(program.stages)
         self._locked = locked
@@ -191,6 +197,27 @@ def checked_states(states: bytes, actuators: int) -> int:
     return bits
 
 
+class InputWatch:
+    """The input lines since the switch of a trial, with the times of their frames on the bus.
+
+    Args:
+        levels: before the switch, as a mask of lines.
+        at: time of the switch [s].
+    """
+
+    def __init__(self, levels: int, at: float) -> None:
+        self.before = self._levels = levels
+        self.changes: list[Change] = []
+        self._at = at
+
+    def see(self, levels: int, known: int, at: float) -> None:
+        """Takes the levels of the lines that are known at a time [s]."""
+        for line in indices((levels ^ self._levels) & known):
+            if len(self.changes) < MOST_CHANGES:
+                self.changes.append(Change(line, levels >> line & 1, max(at - self._at, 0.0)))
+        self._levels = merged(known, levels, self._levels)
+
+
 class SetpointStream:
     """The latest set-point of a stream. The constructor raises StageMisfit if a stage does not fit the arm.
 
@@ -233,7 +260,7 @@ class ProgramResults:
     def add(self, execution: ProgramExecution, status: str, message: str, measured: bytes, known: bytes) -> None:
         """Sends the single result of a program after the counts, and stores it."""
         self._number += 1
-        program = execution.program
+        program, watch = execution.program, execution.watch
         result = self.stored[self._number] = Ended(
             result=self._number,
             program=program.program,
@@ -246,6 +273,8 @@ class ProgramResults:
             known=known,
             travels=tuple(execution.travels[:MOST_TRAVELS]),
             verified=execution.verified,
+            inputs=b"" if watch is None else watch.before.to_bytes((watch.before.bit_length() + 7) // 8, "little"),
+            changes=() if watch is None else tuple(watch.changes),
         )
         if len(self.stored) > MOST_STORED:  # the planner sends no acknowledgements
             del self.stored[min(self.stored)]

@@ -35,7 +35,7 @@ class ClientConnection:
         self.client = ClientId(number, CREDENTIALS.unpack(options)[0])
         self.socket, self.since = connected, now
         self.waiting: deque[bytes] = deque()
-        self.role: Literal["planner", "operator"] | None = None  # as its Hello says; None before the Hello
+        self.role: Literal["planner", "operator"] | None = None  # by its Hello, None before; a commissioner is a planner
         self.closing = False  # whether a Goodbye was sent
 
     @property
@@ -199,7 +199,7 @@ class ExecutorServer:
                 return
             if not connection.closing:
                 if isinstance(message, program.Hello):
-                    connection.role = message.role
+                    connection.role = "operator" if message.role == "operator" else "planner"
                 events.append(FromClient(connection.client, message))
 
     def _close(self, connection: ClientConnection, why: str, now: float) -> None:

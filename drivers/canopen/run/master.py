@@ -149,6 +149,10 @@ class Master:
         lost = {name: fault for name, link in self.links.items() if (fault := link.rearm()) is not None}
         self._booting.begin(lost, time)
 
+    def believe(self, ends: bool) -> None:
+        """Believes that end-stops show each switch, or reads all outputs back; see `Verification`."""
+        self._verification.believe(ends)
+
     def commit(self, outputs: int, now: float, release: bool = False) -> None:
         """Switches output lines to `outputs`. `committing`, `commit_failed` and `drain_switched` tell the result.
 

@@ -41,9 +41,7 @@ class Verification:
 
     def __init__(self, boards: Sequence[Board], outputs: OutputLines, commits: Mapping[str, BusCommit]) -> None:
         self._boards, self._outputs, self._commits = boards, outputs, commits
-        sensed = union(board.layout.sensed for board in boards)
-        self._urgent = ~sensed | outputs.pulsed  # lines that are read at once
-        self._fragile = outputs.pulsed & ~sensed  # lines that only a read inside the pulse can verify
+        self.believe(True)
         count = len(boards)
         self._silent = [0] * count  # successive reads without a result, while the board sends other frames
         self._heard = [0] * count  # number of the board's frames at the last silent read
@@ -58,6 +56,12 @@ class Verification:
         self._next = dict.fromkeys(commits, 0.0)  # time of the next paced read on each bus
         self._turns = dict.fromkeys(commits, 0)
         self._of_bus = {bus: [board for board in boards if board.layout.bus == bus] for bus in commits}
+
+    def believe(self, ends: bool) -> None:
+        """Believes the end-stops, or reads each output back as one without."""
+        sensed = union(board.layout.sensed for board in self._boards) if ends else 0
+        self._urgent = ~sensed | self._outputs.pulsed  # lines that are read at once
+        self._fragile = self._outputs.pulsed & ~sensed  # lines that only a read inside the pulse can verify
 
     def begin(self) -> None:
         """Records that a boot of all boards has begun."""

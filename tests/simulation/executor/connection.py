@@ -40,10 +40,10 @@ class Connection:
         self._connections = 0
         self._last_out = self._last_in = 0.0
 
-    def open(self) -> None:
-        """Connects the planner, if an executor runs."""
+    def open(self, role: str = "planner") -> None:
+        """Connects the planner, or a commissioner in its place, if an executor runs."""
         if self._executor.core is not None:
-            self.client = self._greet("planner")
+            self.client = self._greet(role)
 
     def close(self) -> None:
         if self.client is not None:

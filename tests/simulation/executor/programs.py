@@ -9,7 +9,7 @@ from random import Random
 import msgspec
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
-from hyperbit.controller.program import Program, Replacement, Setpoint, Snapshot, Stage, pack, unpack
+from hyperbit.controller.program import Program, Replacement, Setpoint, Snapshot, Stage, Trial, pack, unpack
 
 
 @dataclass
@@ -110,6 +110,19 @@ class Author:
         start = drawn.stages[first - 1].states if first else drawn.program.start
         drawn.sent = Replacement(drawn.program.program, drawn.generation, first, start, stages, final, strict)
         return drawn.sent
+
+    def trial(self, snapshot: Snapshot, number: int, now: float) -> Trial:
+        """Returns a trial of one actuator; some are of an earlier epoch, late, or of no actuator."""
+        random = self._random
+        wild = random.random() < 0.1
+        return Trial(
+            program=max(0, number - random.choice([0, 0, 0, 0, 1]) * wild),
+            epoch=max(0, snapshot.epoch - random.choice([0, 1]) * wild),
+            actuator=random.randrange(self._count + wild),
+            state=random.randint(0, 1),
+            watch=random.choice([0.0, 0.05, 0.3]),
+            until=now + random.choice([1.0, 1.0, 0.0, -0.1] if wild else [1.0]),
+        )
 
     def setpoint(self, snapshot: Snapshot, stream: int, now: float) -> Setpoint:
         """Returns a set-point near the outputs of a snapshot; one of four has no stages."""

@@ -21,6 +21,7 @@ from hyperbit.controller.program import (
     Reset,
     Setpoint,
     Stop,
+    Trial,
 )
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
@@ -79,10 +80,10 @@ class Strangers:
         elif drawn < 0.5:
             self._say(client, Hello(VERSION, "operator", self._random.choice([self._arm, ""])))
         else:
-            role = self._random.choice(["planner", "operator"])
+            role = self._random.choice(["planner", "operator", "commissioner"])
             arm = self._random.choice([self._arm, "", "another"])
             version = self._random.choice([VERSION, VERSION - 1, VERSION + 1])
-            if role == "planner" and arm == self._arm and version == VERSION and not self._planner_connected():
+            if role != "operator" and arm == self._arm and version == VERSION and not self._planner_connected():
                 arm = "another"
             self._say(client, Hello(version, role, arm))  # type: ignore[arg-type]
 
@@ -100,6 +101,7 @@ class Strangers:
             Program(10**9, 1, empty, 0.0, (), True, False, "a stranger's"),
             Reset(1, 1),
             Setpoint(10**9, 1, empty, (), 1e12, False, "a stranger's"),
+            Trial(10**9, 1, 0, 1, 0.1, 1e12),
         ]
         if self.may_stop and random.random() < 0.2:
             return Stop(random.randint(0, 5))

@@ -27,6 +27,7 @@ from hyperbit.controller.program import (
     Settled,
     Snapshot,
     Stop,
+    Trial,
     Up,
     Welcome,
     unpack,
@@ -69,7 +70,8 @@ class Account(Witness):
         instance: number of the executor's process.
         instance_at: time of its start [s].
         roles: roles of the welcomed clients.
-        planner: the welcomed planner; None without one.
+        planner: the welcomed planner, or the commissioner in its place; None without one.
+        commissioned: whether a commissioner is in its place.
         shown: the latest snapshot of this process.
         epoch: the latest that was told.
         booted: a boot of this process has ended: it knows what the boards drive.
@@ -164,6 +166,7 @@ class Account(Witness):
 
     def killed(self) -> None:
         self._begin()
+        self.arm.believe(True)
 
     def told(self, event: Event) -> None:
         self.order += 1
@@ -178,6 +181,7 @@ class Account(Witness):
                 self.roles.pop(client, None)
                 if client == self.planner:
                     self.planner = None
+                    self.arm.believe(True)
                     self.bar()
             case Quit():
                 self.ordered_end, self.quitting = self.quitting, True
@@ -193,7 +197,11 @@ class Account(Witness):
     @property
     def greets_planner(self) -> bool:
         """Whether the executor handles the Hello of a planner."""
-        return isinstance(self.message, Hello) and self.message.role == "planner"
+        return isinstance(self.message, Hello) and self.message.role != "operator"
+
+    @property
+    def commissioned(self) -> bool:
+        return self.planner is not None and self.roles[self.planner] == "commissioner"
 
     def _take(self, client: ClientId, message: Any) -> None:
         match message:
@@ -227,6 +235,10 @@ class Account(Witness):
                 self.running, self.questioned = Motion(self.message, self.order, message.begin), False
                 self.programs[message.program] = self.running
                 self.followed = []
+            case Accepted() if isinstance(self.message, Trial) and self.shown is not None:
+                outputs = unpack(self.shown.outputs)
+                self.running, self.followed = Motion.of_trial(self.message, outputs, self.order, message.begin), []
+                self.programs[message.program] = self.running
             case Replaced(accepted=True) if self.running is not None and isinstance(self.message, Replacement):
                 self.running.append(self.message.first, self.message.stages)
                 self.questioned = False
@@ -264,8 +276,9 @@ class Account(Witness):
             self.held_states = merged(bit, on, self.held_states)
         if isinstance(message, Welcome):
             self.roles[client] = self._hellos[client]
-            if self.roles[client] == "planner":
+            if self.roles[client] != "operator":
                 self.planner = client
+                self.arm.believe(not self.commissioned)
 
     # --- buses and boards
 

@@ -47,11 +47,10 @@ class JudgedArm:
         indexed = list(enumerate(channels))
         self.paired = mask_of(k for k, c in indexed if c.output_off is not None)
         self.pulse = {k: c.pulse for k, c in indexed if c.pulse is not None}
-        self.extended_ends = mask_of(k for k, c in indexed if c.input is not None)
-        self.contracted_ends = mask_of(k for k, c in indexed if c.input_contracted is not None)
-        self.sensed = self.extended_ends | self.contracted_ends
+        self._ends = [mask_of(k for k, c in indexed if c.line(end)) for end in ("input", "input_contracted")]
         unread = {(node.bus, node.node) for node in arm.wiring.nodes if not node.verify}
-        self.forgone = mask_of(k for k, c in indexed if (c.bus, c.node) in unread) & ~self.sensed
+        self._unread = mask_of(k for k, c in indexed if (c.bus, c.node) in unread)
+        self.believe(True)
         both = timing.travel_time, timing.travel_time
         self.travel = [both if c.travel is None else c.travel for c in channels]
         self.margin = [timing.settle_margin if c.settle_margin is None else c.settle_margin for c in channels]
@@ -63,6 +62,12 @@ class JudgedArm:
         self.timing, self.planner_timeout = timing, arm.planner_timeout
         self.declared = arm.locked, arm.locked_states & arm.locked
         self.contracts_at_end = arm.contract_on_stop
+
+    def believe(self, ends: bool) -> None:
+        """Takes end-stops as what they are, or the arm as one without any: it is commissioned."""
+        self.extended_ends, self.contracted_ends = self._ends if ends else (0, 0)
+        self.sensed = self.extended_ends | self.contracted_ends
+        self.forgone = self._unread & ~self.sensed
 
     def measured(self, extended: int, contracted: int, commanded: int) -> int:
         """Returns what end-stops tell: each end-stop reads 1 only at its end; else the commanded state."""

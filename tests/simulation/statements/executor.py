@@ -22,6 +22,7 @@ EVERY: tuple[type[Statement], ...] = (
     programs.NothingRunsWithoutItsPlanner,
     requests.OnlyTheWelcomeAct,
     requests.LocksAndResetsAreSound,
+    requests.TrialsMoveOneActuator,
     told.SnapshotsAreTrue,
     told.SilentBoardsAreUnknown,
     told.CountsAreTheSwitches,

@@ -4,18 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-from hyperbit.controller.program import (
-    Ended,
-    Program,
-    Setpoint,
-    unpack,
-)
-
-if TYPE_CHECKING:
-    pass
-
+from hyperbit.controller import program
+from hyperbit.controller.program import Ended, Program, Setpoint, Trial, unpack
 
 EPSILON = 1e-6  # [s], rounding errors of sums of times
 
@@ -48,7 +40,7 @@ class Stage(NamedTuple):
 
 
 class Motion:
-    """A program that was accepted, or a set-point: what may move the arm, until it is barred.
+    """A program or trial that was accepted, or a set-point: what may move the arm, until it is barred.
 
     Attributes:
         message: as it arrived.
@@ -58,6 +50,7 @@ class Motion:
         homes: mask of the actuators that it homes if their states are unknown.
         unsettled: whether the mark of `taken` was not told as settled.
         taken: the last stage that was told as begun.
+        tried: mask of the one actuator that a trial may switch; None for others.
         strict: whether no stage is skipped, or begins before the one before has settled.
         final: whether no further stages come.
         barred_at: when a stop, a cancel, a fault or a loss took its permission [s]; infinity before.
@@ -72,8 +65,20 @@ class Motion:
         self.final = not isinstance(message, Program) or message.final
         self.homes = unpack(message.homed) if isinstance(message, Program) and message.homed else -1
         self.unsettled = False
+        self.tried: int | None = None
         self.taken, self.barred_at, self.strict = -1, math.inf, message.strict
         self.ended: Ended | None = None
+
+    @classmethod
+    def of_trial(cls, trial: Trial, outputs: int, order: int, begin: float) -> Motion:
+        """Returns what a trial may do from the commanded states `outputs`."""
+        bit, size = 1 << trial.actuator, (max(outputs.bit_length(), trial.actuator + 1) + 7) // 8
+        states = (outputs & ~bit | trial.state * bit).to_bytes(size, "little")
+        stage, start = program.Stage(states, 0.0, 0, trial.watch), outputs.to_bytes(size, "little")
+        made = Program(trial.program, trial.epoch, start, begin, (stage,), True, False, "trial")
+        motion = cls(made, order, begin)
+        motion.homes = motion.tried = bit
+        return motion
 
     @property
     def number(self) -> int:

@@ -7,22 +7,33 @@ import math
 from hyperbit.controller.executor.core.events import ClientId, Event, FromClient
 from hyperbit.controller.program import (
     VERSION,
+    Accepted,
+    Acknowledge,
+    Alive,
     Answer,
+    Cancel,
+    Counts,
     Goodbye,
     Hello,
     Lock,
+    PlayFault,
     Reset,
     Stop,
+    Trial,
     Up,
 )
+from tests.simulation.facts import Energised, Switch
 from tests.simulation.statements.account import Account
+from tests.simulation.statements.motions import Sync
 from tests.simulation.statements.statement import Statement
 
 NOTICED = 0.1  # [s] until a reading is noticed
+TRYING = Trial, Cancel, Stop, Reset, PlayFault, Alive, Acknowledge, Counts
+MAY: dict[str | None, tuple[type, ...]] = {"operator": (Stop,), "commissioner": TRYING}
 
 
 class OnlyTheWelcomeAct(Statement):
-    """Only clients of this version are welcome; an operator may do no more than stop the arm."""
+    """Only the welcome act: of this version, and an operator may stop the arm, a commissioner may try actuators."""
 
     number = 11
 
@@ -41,8 +52,9 @@ class OnlyTheWelcomeAct(Statement):
         if isinstance(message, Hello):
             welcome = not known and message.version == VERSION
         else:
-            operator = account.roles.get(event.client) == "operator"
-            welcome = known and (not operator or isinstance(message, Stop))
+            role = account.roles.get(event.client)
+            welcome = known and (role not in MAY or isinstance(message, MAY[role]))
+            welcome = welcome and (role != "planner" or not isinstance(message, Trial))
         self._away = None if welcome else event.client
 
     def killed(self) -> None:
@@ -72,3 +84,46 @@ class LocksAndResetsAreSound(Statement):
         elif isinstance(asked, Reset) and asked.request == message.request and "resetting" in message.message:
             self.require(asked.epoch >= account.epoch, f"a reset of epoch {asked.epoch} in epoch {account.epoch}")
             self.require(account.doors.known_at == math.inf, "a reset is carried out while a door is open")
+
+
+class TrialsMoveOneActuator(Statement):
+    """While an arm is commissioned, a SYNC moves what one trial names, once, to the state that it names."""
+
+    number = 1
+
+    def __init__(self, account: Account) -> None:
+        super().__init__(account)
+        self._moved: dict[int, float] = {}  # time of the SYNC that moved the actuator of a trial, by number [s]
+
+    def started(self) -> None:
+        self._moved = {}
+
+    def says(self, message: Up) -> None:
+        account, trial = self.account, self.account.message
+        if isinstance(message, Accepted) and isinstance(trial, Trial):
+            fits = account.commissioned and trial.epoch >= account.epoch and account.now <= trial.until
+            free = account.running is None and trial.program not in account.programs
+            locked = account.locked >> trial.actuator & 1
+            self.require(fits and free and not locked and account.mode == "ready", f"{trial} is accepted")
+            self.require(account.doors.known_at == math.inf, f"{trial} is accepted beside an open door")
+
+    def switches(self, switch: Switch) -> None:
+        if switch.cause == "SYNC":
+            self._judge(switch.mask, switch.sync, f"{switch.mask:b} switched to {switch.after:b}")
+
+    def energises(self, coils: Energised) -> None:
+        if coils.cause == "SYNC" and coils.came:
+            self._judge(coils.came, coils.sync, f"coils of {coils.came:b} came on")
+
+    def _judge(self, mask: int, sync: Sync | None, text: str) -> None:
+        account = self.account
+        asked = [] if sync is None else [motion for motion, _ in sync.asked]
+        trials = [motion for motion in asked if motion.tried is not None]
+        if not (trials or account.commissioned):
+            return
+        self.require(trials or not asked, f"{text} for {asked[0].number if asked else 0}, which is no trial")
+        unsure = account.missed | account.homing  # a board that missed a frame takes it with the next SYNC
+        for trial in trials:
+            self.require(not mask & ~(trial.tried or 0) & ~unsure, f"{text} in the trial {trial.number}")
+            if sync is not None and mask & (trial.tried or 0) & ~account.missed:
+                self.require(self._moved.setdefault(trial.number, sync.at) == sync.at, f"{text} again")
