@@ -53,6 +53,8 @@ Wait = Annotated[bool, typer.Option("--wait/--no-wait", help="Wait for the resul
 BOARD_KIND = "Kind of the simulated boards; see `simulate --help`."
 OWN_RATE = "Bit rate of the bus [bit/s], 1,000,000 by default; not for socketcan, whose bit rate the system sets."
 BoardKinds = Annotated[list[str], typer.Option(metavar="[BOARD=]KIND", help=BOARD_KIND, show_default=False)]
+WIRED = "Arm's file that says how the simulated boards are wired in truth. Default: as ARM.yaml says."
+Wired = Annotated[Path | None, typer.Option(metavar="TRUE.yaml", help=WIRED, show_default=False)]
 Channel = Annotated[str, typer.Argument(metavar="CHANNEL", help="The bus, such as can0.", show_default=False)]
 Interface = Annotated[str, typer.Option(help="Interface of python-can.")]
 Bitrate = Annotated[int | None, typer.Option(min=10_000, max=1_000_000, help=OWN_RATE, show_default=False)]

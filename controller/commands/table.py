@@ -161,10 +161,10 @@ GROUPS = {
             "Read the errors of one board, by its executor if one runs; or reset it, while the executor is stopped.",
             "hyperbit board my-arm.yaml can0/5 errors",
         ),
-        "exercise": CommandEntry(
-            "configure.exercise",
-            "Move each actuator once there and back, one at a time, and propose travel times for the arm's file.",
-            "hyperbit exercise planar16",
+        "commission": CommandEntry(
+            "configure.commission",
+            "Move each actuator there and back, one key press a motion; ask what was seen; propose the right wiring.",
+            "hyperbit commission my-arm.yaml",
         ),
         "calibrate": CommandEntry(
             "configure.calibrate",

@@ -40,11 +40,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--socket", type=Path, help="the socket, or its folder")
     parser.add_argument("--simulate", action="store_true", help="simulate the boards in this process")
     parser.add_argument("--board", action="append", default=[], help="variant of the simulated boards")
+    parser.add_argument("--wired", type=Path, help="how the simulated boards are wired, as another arm's file")
     parser.add_argument("--journal", type=Path, help="the switch journal")
     parser.add_argument("--list-modules", action="store_true", help="print the names of the loaded modules at the end")
     options = parser.parse_args(arguments)
     try:
-        execute(options.file, options.socket, options.simulate, options.journal, options.board)
+        execute(options.file, options.socket, options.simulate, options.journal, options.board, options.wired)
     except InputFaults as error:
         print(error, file=sys.stderr)
         return 2
@@ -56,14 +57,23 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | None, board: Sequence[str] = ()) -> None:
+def execute(
+    file: Path,
+    socket: Path | None,
+    simulate: bool,
+    journal: Path | None,
+    board: Sequence[str] = (),
+    wired: Path | None = None,
+) -> None:
     """Runs the executor until SIGTERM. Each path that is None has its default. `main` names the exceptions."""
     arm = read_arm(file)
     boards: EmbeddedBoards | None = None
     if simulate:  # the process of a real arm loads no simulation
         from hyperbit.controller.executor.process.embedded_boards import simulated_boards
 
-        boards = simulated_boards(arm, board)
+        boards = simulated_boards(arm, board, wired)
+    elif wired is not None:
+        raise InputFaults(wired, ["--wired says how simulated boards are wired: it needs --simulate"])
     elif board:
         raise InputFaults(Path("--board"), ["the variant of a simulated board needs --simulate"])
     start_logging({"HYPERBIT_ARM": arm.name})

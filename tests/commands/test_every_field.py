@@ -98,7 +98,6 @@ def test_commands_of_a_running_arm(ran: Callable[..., str], arm: Path, tmp_path:
             "obstacles every",
             "poses every --save here",
             "fault every close door",
-            "exercise every 1.left 2.1 --json --yes",
             "stop every",
             "reset every",
             "cancel every",

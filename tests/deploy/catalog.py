@@ -10,7 +10,7 @@ SUPPORT = "file:///opt/hyperbit/doc/README.md"
 FAULT = "At @HYPERBIT_SOURCE@ of the arm @HYPERBIT_ARM@. The running goal was ended, and the arm holds."
 WARNINGS = (
     *("bus-passive", "board-limits", "outputs-off", "clock-set", "certificate-ends", "network-lost", "degraded"),
-    *("journal", "unknown-position", "ledger-unwritten", "ledger-damaged"),
+    *("journal", "unknown-position", "not-commissioned", "ledger-unwritten", "ledger-damaged"),
 )
 OTHERS = {
     "mode-starting": "The boards of the arm @HYPERBIT_ARM@ are booting. Nothing moves.",

@@ -244,12 +244,21 @@ class World(Played, Hardware, Witness):
     Attributes:
         core: of the present process, or of the last one.
         syncs: times at which SYNCs were handed out [s].
+
+    Args:
+        wired: how the boards are wired in truth; None: as the executor's arm says.
     """
 
-    def __init__(self, variants: Mapping[str, Variant] | None = None, **fields: Any) -> None:
+    def __init__(
+        self,
+        variants: Mapping[str, Variant] | None = None,
+        arm: ExecutedArm | None = None,
+        wired: Wiring | None = None,
+        **fields: Any,
+    ) -> None:
         Played.__init__(self)
-        self.arm = small_arm(**fields)
-        Hardware.__init__(self, self.arm.wiring, self.arm.timing, self._to_executor, variants)
+        self.arm = arm or small_arm(**fields)
+        Hardware.__init__(self, wired or self.arm.wiring, self.arm.timing, self._to_executor, variants)
         self.syncs: list[float] = []
         self.ended = False
         self.executor = ExecutorProcess(self.arm, self.agenda, Random(0), self.buses, self)

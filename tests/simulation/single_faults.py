@@ -27,7 +27,7 @@ ANSWERED = 0.1  # [s] until a reset is answered
 HOMED = 0.7  # share of the faults before which a program homes the arm
 OWED = 4.2  # [s] for which lost answers may still come, and reads take so long that pulses may be over before
 RESTARTED = 15.0  # [s] until an executor that was ended has contracted the arm, and the next one is ready
-STANDING = frozenset({"board-limits", "outputs-off", "degraded", "unknown-position"})
+STANDING = frozenset({"board-limits", "outputs-off", "degraded", "unknown-position", "not-commissioned"})
 WARNINGS = STANDING | {"bus-passive", "journal"}
 
 

@@ -36,7 +36,9 @@ from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.one_fault import one_fault
 from tests.simulation.whole.planned_arms import draw_planned_arm
 
-ROUNDS = ("one fault",) * 5 + ("requests",) * 3 + ("commission", "trouble")  # of worlds with a scripted planner
+ROUNDS = (
+    ("one fault",) * 5 + ("requests",) * 3 + ("commission",) * 3 + ("trouble",)
+)  # of worlds with a scripted planner
 WHOLE_TROUBLED = 0.9  # share of the rounds of a whole daemon that have a time with many faults
 PEACEFUL = 0.2  # share of the worlds with the whole daemon that have no trouble
 FILES = 0.9  # share of the arms that are written to a file and read

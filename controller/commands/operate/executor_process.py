@@ -18,15 +18,15 @@ FOREGROUND_POLL = 0.5  # [s] between two attempts to read a terminal in the back
 END_TIMEOUT = 5.0  # [s] for the executor to end by itself
 
 
-def start_executor(words: Sequence[str], *, simulate: bool) -> subprocess.Popen[bytes]:
+def start_executor(words: Sequence[str], *, simulate: bool, typed: bool = True) -> subprocess.Popen[bytes]:
     """Starts `hyperbit execute` with these words; it ends with this process.
 
     Its process group is its own: Ctrl-C reaches only this process, which ends goals first. With `simulate` this process
-    passes the lines of its standard input on to the child, which reads commands for faults from them. A terminal is not
-    passed on to another process group.
+    passes the lines of its standard input on to the child, which reads commands for faults from them, unless `typed` is
+    False. A terminal is not passed on to another process group.
     """
     command = [sys.executable, "-m", "hyperbit", "execute", *words, *["--simulate"] * simulate]
-    process = start_child(command, stdin=subprocess.PIPE if simulate else subprocess.DEVNULL)
+    process = start_child(command, stdin=subprocess.PIPE if simulate and typed else subprocess.DEVNULL)
     if process.stdin is not None:
         threading.Thread(target=pass_lines, args=(process.stdin,), name="lines", daemon=True).start()
     return process

@@ -16,7 +16,7 @@ import typer
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.armfile.terminals import named_boards
 from hyperbit.controller.commands import ENDPOINT
-from hyperbit.controller.commands.arguments import ArmFile, BoardKinds, Listen, ZenohFile
+from hyperbit.controller.commands.arguments import ArmFile, BoardKinds, Listen, Wired, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, densities_of, load_wired
 from hyperbit.controller.commands.connection import zenoh_config
 from hyperbit.controller.commands.process import ending_event
@@ -45,6 +45,7 @@ def run(
     file: ArmFile,
     simulate: Annotated[bool, typer.Option("--simulate", help=SIMULATE)] = False,
     board: BoardKinds = [],  # noqa: B006  # typer needs a list
+    wired: Wired = None,
     socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
     listen: Listen = ENDPOINT,
     connect: Annotated[str | None, typer.Option(help=CONNECT, show_default=False)] = None,
@@ -55,7 +56,7 @@ def run(
     ] = None,
 ) -> None:
     """Run the daemon until SIGTERM: it takes goals over Zenoh and moves the arm by an executor."""
-    check_options(board, socket, zenoh_file, simulate=simulate, panel=panel is not None)
+    check_options(board, wired, socket, zenoh_file, simulate=simulate, panel=panel is not None)
     if connect is not None and zenoh_file is not None:
         raise InputFaults(Path("run"), ["give either --connect or --zenoh, whose file can name the router"])
     # Its faults are told before the executor starts. Peers do not hear each other through a router, clients do.
@@ -67,7 +68,7 @@ def run(
     boards = board if simulate else None
     if simulate and socket is None and os.isatty(INPUT):
         typer.echo(TYPED)
-    with started_executor(file, socket, ledger, boards) as executor, started_page(connect or listen, panel):
+    with started_executor(file, socket, ledger, boards, wired) as executor, started_page(connect or listen, panel):
         serve(file, executor, config, connect, ledger, simulated=simulate)
 
 
@@ -79,10 +80,12 @@ class RunningExecutor(NamedTuple):
 
 
 def check_options(
-    board: list[str], socket: Path | None, zenoh_file: Path | None, *, simulate: bool, panel: bool
+    board: list[str], wired: Path | None, socket: Path | None, zenoh_file: Path | None, *, simulate: bool, panel: bool
 ) -> None:
     if board and socket is not None:
         raise InputFaults(Path("run"), ["give --board to the executor at --socket, not to this command"])
+    if wired is not None and (not simulate or socket is not None):
+        raise InputFaults(Path("run"), ["--wired is for boards that this command simulates: give --simulate"])
     if board and not simulate:
         raise InputFaults(Path("run"), ["--board is for simulated boards: give --simulate as well"])
     if panel and zenoh_file is not None:
@@ -100,11 +103,11 @@ def prepare_process() -> None:
 
 @contextlib.contextmanager
 def started_executor(
-    file: Path, socket: Path | None, ledger: Path | None, boards: list[str] | None
+    file: Path, socket: Path | None, ledger: Path | None, boards: list[str] | None, wired: Path | None = None
 ) -> Iterator[RunningExecutor]:
     """Starts an executor, unless one is running at `socket`; ends it at the end. `boards`: kinds of the simulated ones.
 
-    The boards boot while this process loads the kernels.
+    `wired`: file that says how these are wired. The boards boot while this process loads the kernels.
     """
     from hyperbit.controller.armfile.actuators import ending_time, read_wired
     from hyperbit.controller.commands.operate.executor_process import END_TIMEOUT, end_child, start_executor
@@ -122,6 +125,7 @@ def started_executor(
         yield RunningExecutor(path, lambda: None)
         return
     words = [str(file), "--socket", str(path), *(f"--board={word}" for word in boards or [])]
+    words += [] if wired is None else [f"--wired={wired}"]
     words += [] if ledger is None else ["--journal", str(ledger.with_name(f"{ledger.stem}.switches"))]  # its own counts
     executor = start_executor(words, simulate=boards is not None)
     try:

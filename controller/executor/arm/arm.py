@@ -1,10 +1,11 @@
 """The executor's view of the arm: actuators, wiring and times, read from the arm's file."""
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from hyperbit.controller.armfile.actuators import ending_time, longest_travel, read_wired, travel_times
+from hyperbit.controller.armfile.commissioned import warning_of
 from hyperbit.controller.armfile.error_states import error_state
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.places import placed_faults
@@ -43,6 +44,7 @@ class ExecutedArm:
     contract_on_stop: bool = False  # contract all actuators before the executor ends
     ending: float = 10.0  # longest time of that contraction [s]
     real_time: RealTimeSettings | None = None
+    uncommissioned: str | None = field(default=None, compare=False)  # which actuators nobody has commissioned, in words
     digest: str = ""  # SHA-256 of the file, in hexadecimal
 
     @property
@@ -62,9 +64,9 @@ def read_arm(path: Path) -> ExecutedArm:
         try:
             lay_out(wiring)
         except Unfit as misfit:
-            for field, _, it in owned_terminals(settings):
+            for where, _, it in owned_terminals(settings):
                 if (it.kind, it.board, it.bit // 8) == (misfit.kind, misfit.board, misfit.byte):
-                    raise InputFaults(path, [f"{field}: {it.bit}, but {misfit}"]) from None
+                    raise InputFaults(path, [f"{where}: {it.bit}, but {misfit}"]) from None
     return ExecutedArm(
         name=settings.name,
         actuators=actuators,
@@ -79,6 +81,7 @@ def read_arm(path: Path) -> ExecutedArm:
         contract_on_stop=settings.on_stop == "contract",
         ending=ending_time(settings, len(actuators)),
         real_time=settings.real_time,
+        uncommissioned=warning_of(path, settings, actuators, wired),
         digest=hashlib.sha256(read_file(path)).hexdigest(),
     )
 

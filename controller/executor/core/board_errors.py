@@ -1,8 +1,8 @@
 """Clients that ask for the errors of boards."""
 
 from hyperbit.controller import program
-from hyperbit.controller.executor.core.events import ClientId
 from hyperbit.controller.executor.core.clients import Clients
+from hyperbit.controller.executor.core.events import ClientId
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.run.master import Master
 from hyperbit.drivers.canopen.wiring import Wiring

@@ -57,7 +57,7 @@ class Executor:
         self._results = ProgramResults(clients.to_planner, journal)
         self.locked = locked = LockedActuators(arm.actuators, arm.locked, arm.locked_states)
         self.motion = motion = ArmMotion(arm, master, journal, locked, self._results, clients.to_planner)
-        self.reports = Reports(arm, master, motion, locked, journal)
+        self.reports = Reports(arm, master, motion, locked, journal, simulation is not None)
         clearing = CLEARING | {"stuck"} if arm.continue_on_stuck else CLEARING
         self.modes = modes = Modes(master, motion, locked, clearing, self.reports, self._act, simulation is not None)
         self.requests = ClientRequests(arm, motion, locked, modes, self._act, clients)

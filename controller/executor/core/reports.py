@@ -31,13 +31,19 @@ class Reports:
     """Makes snapshots and diagnostics when they are due. `changed`: the state differs from the last snapshot."""
 
     def __init__(
-        self, arm: ExecutedArm, master: Master, motion: ArmMotion, locked: LockedActuators, journal: SwitchJournal
+        self,
+        arm: ExecutedArm,
+        master: Master,
+        motion: ArmMotion,
+        locked: LockedActuators,
+        journal: SwitchJournal,
+        simulated: bool,
     ) -> None:
         self.changed = True
         self.real_time = "off"
         self._health = Health({}, 0, None)
         self._arm, self._master, self._motion, self._locked, self._journal = arm, master, motion, locked, journal
-        self._size = len(arm.actuators)
+        self._size, self._simulated = len(arm.actuators), simulated
         self._next_snapshot = self._next_diagnostics = 0.0
         self._shown: tuple[int, ...] = ()
 
@@ -69,6 +75,8 @@ class Reports:
             )
             text = f"the position of {labels} is unknown: the next goal homes {them}; or use `jog`"
             every += (ArmFault("unknown-position", "arm", text),)
+        if self._arm.uncommissioned is not None and not self._simulated:
+            every += (ArmFault("not-commissioned", "arm", self._arm.uncommissioned),)
         return Snapshot(
             at=now,
             mode=mode,

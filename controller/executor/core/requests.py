@@ -25,7 +25,7 @@ from hyperbit.controller.refusals.refusal import Refusal, no_motion
 
 # what each role but the planner may send here; a planner may send all but a trial
 OPERATORS = (program.Stop,)
-COMMISSIONERS = (program.Trial, program.Cancel, program.Stop, program.Reset, program.PlayFault)
+COMMISSIONERS = (program.Alive, program.Trial, program.Cancel, program.Stop, program.Reset, program.PlayFault)
 
 
 class HeldAnswer(NamedTuple):

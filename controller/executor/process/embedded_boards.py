@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.executor.arm.arm import ExecutedArm
+from hyperbit.controller.executor.arm.arm import ExecutedArm, read_arm
 from hyperbit.controller.program import FaultVerb, PlayableFaults
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
@@ -24,13 +24,25 @@ LONGEST_LINE = 1_000  # bytes of a line of the standard input; the beginning of 
 MOST_STEPS = 500  # of the boards in one poll; a socket buffers a limited number of frames, too
 
 
-def simulated_boards(arm: ExecutedArm, board: Sequence[str]) -> "EmbeddedBoards":
-    """Returns the simulated boards of an arm, with variants as in `choose`. Raises InputFaults for an unknown name."""
+def simulated_boards(arm: ExecutedArm, board: Sequence[str], wired: Path | None = None) -> "EmbeddedBoards":
+    """Returns the simulated boards of an arm, with variants as in `choose`.
+
+    Args:
+        arm: as its file says.
+        board: variants, as in `choose`.
+        wired: file that says how boards and actuators are wired in truth; None: as the arm's own file.
+
+    Raises:
+        InputFaults: a name is unknown, or the other file has other actuators.
+    """
+    true = arm if wired is None else read_arm(wired)
+    if wired is not None and true.actuators != arm.actuators:
+        raise InputFaults(wired, [f"other actuators than those of {arm.name}: only the wiring may differ"])
     try:
-        variants = choose(board, board_names(arm.wiring))
+        variants = choose(board, board_names(true.wiring))
     except ValueError as error:
         raise InputFaults(Path("--board"), [str(error)]) from None
-    return EmbeddedBoards(arm.wiring, arm.timing, variants)
+    return EmbeddedBoards(true.wiring, true.timing, variants)
 
 
 class EmbeddedBoards:

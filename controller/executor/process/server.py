@@ -35,7 +35,9 @@ class ClientConnection:
         self.client = ClientId(number, CREDENTIALS.unpack(options)[0])
         self.socket, self.since = connected, now
         self.waiting: deque[bytes] = deque()
-        self.role: Literal["planner", "operator"] | None = None  # by its Hello, None before; a commissioner is a planner
+        # by its Hello, None before; a commissioner takes the place of a planner
+        # by its Hello, None before; a commissioner takes the place of a planner
+        self.role: Literal["planner", "operator"] | None = None
         self.closing = False  # whether a Goodbye was sent
 
     @property

@@ -93,6 +93,10 @@ ADVICE = {
     "unknown-position": FaultAdvice(
         "The next goal homes these actuators first, a large motion; or jog them.", After.NOTHING
     ),
+    "not-commissioned": FaultAdvice(
+        "Commission the arm beside it, by `hyperbit commission`: it shows which actuator each output moves.",
+        After.NOTHING,
+    ),
     "degraded": FaultAdvice("The arm works without this actuator. Unlock it after the repair.", After.NOTHING),
 }
 UNKNOWN = FaultAdvice("See the journal: journalctl -u 'hyperbit*'.", After.NOTHING)

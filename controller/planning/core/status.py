@@ -26,7 +26,7 @@ SILENCE = 1.2 * STATE_EVERY  # [s] without a change until the next `state`; each
 WARNINGS = frozenset(  # codes of what stops no motion
     (
         *("bus-passive", "board-limits", "outputs-off", "ledger-damaged", "journal", "in-obstacle", "unknown-state"),
-        *("unknown-position", "degraded"),
+        *("unknown-position", "degraded", "not-commissioned"),
     )
 )
 NO_GOAL = dict.fromkeys(("goal", "waypoint", "target", "progress"))

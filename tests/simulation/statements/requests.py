@@ -62,6 +62,8 @@ class OnlyTheWelcomeAct(Statement):
 
     def tells(self, client: ClientId, message: Up) -> None:
         self.armed += client == self._away
+        if isinstance(message, Goodbye) and client in self.account.roles:
+            self.require(client == self._away, f"{client} is sent away: {message.reason}")
         if isinstance(message, Goodbye) and client == self._away:
             self._away = None
 

@@ -1,0 +1,177 @@
+"""The commissioner's connection to an executor: one trial at a time, and the end of it at any moment."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from hyperbit.controller.program import (
+    ALIVE_EVERY,
+    MOST_BYTES,
+    VERSION,
+    Accepted,
+    Acknowledge,
+    Alive,
+    Answer,
+    Cancel,
+    Declined,
+    Down,
+    Ended,
+    Goodbye,
+    Hello,
+    Malformed,
+    Reset,
+    Snapshot,
+    Trial,
+    Up,
+    Welcome,
+    decode_up,
+    encode,
+)
+
+T = TypeVar("T")
+
+ANSWER_WITHIN = 5.0  # [s]
+BEGIN_WITHIN = 2.0  # [s] after a key press; a later begin would surprise the person
+MOST_TRAVEL = 65.0  # [s] of an actuator, which may be under way
+ENDED_WITHIN = 10.0  # [s] for the end of a trial, beside the time for which it watches
+
+
+class NoDriver(Exception):
+    """The executor does not serve this commissioner, or is gone; the text says why."""
+
+
+class Commissioner:
+    """Drives an arm by trials. A thread receives and tells that this process is alive."""
+
+    def __init__(self, path: Path, arm: str, digest: str) -> None:
+        self._welcome: Welcome | None = None
+        self.snapshot: Snapshot | None = None
+        self._gone = ""
+        self._heard: list[Up] = []
+        self._changed = threading.Condition()
+        self._program = self._request = 0
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            self._socket.settimeout(ANSWER_WITHIN)
+            self._socket.connect(str(path))
+        except OSError as error:
+            self._socket.close()
+            raise NoDriver(f"no executor answers at {path}: {error.strerror or error}") from None
+        self._send(Hello(VERSION, "commissioner", arm))
+        threading.Thread(target=self._receive, name="executor", daemon=True).start()
+        try:
+            welcome = self._wait(lambda: self._welcome, ANSWER_WITHIN, "the executor does not answer")
+            if welcome.digest != digest:
+                raise NoDriver("the executor was started with another version of the arm's file: restart it")
+        except NoDriver:
+            self.close()
+            raise
+        self._program = welcome.program
+
+    def ready(self, timeout: float) -> Snapshot:
+        """Waits until the arm is ready, in fault or stopped; returns its state."""
+        return self._wait(
+            lambda: self.snapshot if self.snapshot and self.snapshot.mode not in ("starting", "executing") else None,
+            timeout,
+            "the arm does not become ready",
+        )
+
+    def reset(self) -> Answer:
+        snapshot = self._wait(lambda: self.snapshot, ANSWER_WITHIN, "the executor tells no state")
+        self._request += 1
+        number, self.snapshot = self._request, None
+        self._send(Reset(number, snapshot.epoch))
+        return self._wait(lambda: self._of(Answer, lambda one: one.request == number), ANSWER_WITHIN, "no answer")
+
+    def run(self, actuator: int, state: int, watch: float) -> Ended | str:
+        """Tries one actuator when all are at rest; returns the result, or why nothing began.
+
+        An interrupt cancels the trial.
+        """
+        snapshot = self._wait(self._at_rest, MOST_TRAVEL, "the actuators do not come to rest")
+        self._program += 1
+        number, until = self._program, time.monotonic() + BEGIN_WITHIN
+        try:
+            self._send(Trial(number, snapshot.epoch, actuator, state, watch, until))
+            begun: Accepted | Declined = self._wait(
+                lambda: self._of(Accepted | Declined, lambda one: one.program == number), ANSWER_WITHIN, "no answer"
+            )
+            if isinstance(begun, Declined):
+                return str(begun.refused.refusal)
+            ended: Ended = self._wait(
+                lambda: self._of(Ended, lambda one: one.program == number), watch + ENDED_WITHIN, "no result"
+            )
+        except BaseException:
+            self.cancel()
+            raise
+        self._send(Acknowledge(ended.result))
+        return ended
+
+    def _at_rest(self) -> Snapshot | None:
+        """Returns the state of an arm in which nothing runs and all travels are over; None before."""
+        at = self.snapshot
+        moves = at is None or at.mode in ("starting", "executing") or (at.mode == "ready" and at.moving)
+        return None if moves or at is None or at.free_at > time.monotonic() else at
+
+    def cancel(self) -> None:
+        """Ends a trial; the arm holds."""
+        self._request += 1
+        self._send(Cancel(self._request, None, "left by the commissioner"))
+
+    def close(self) -> None:
+        self._gone = self._gone or "closed"
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+
+    def _of(self, kind: Any, fits: Callable[[Any], bool]) -> Any:
+        return next((one for one in self._heard if isinstance(one, kind) and fits(one)), None)
+
+    def _send(self, message: Down) -> None:
+        try:
+            self._socket.send(encode(message), socket.MSG_NOSIGNAL)
+        except OSError as error:
+            raise NoDriver(self._gone or f"the connection to the executor is broken: {error}") from None
+
+    def _wait(self, find: Callable[[], T | None], timeout: float, why: str) -> T:
+        until = time.monotonic() + timeout
+        with self._changed:
+            while (found := find()) is None:
+                if self._gone:
+                    raise NoDriver(self._gone)
+                if (left := until - time.monotonic()) <= 0:
+                    raise NoDriver(f"{why} within {timeout:g} s")
+                self._changed.wait(left)
+            return found
+
+    def _receive(self) -> None:
+        alive_at = 0.0
+        self._socket.settimeout(ALIVE_EVERY / 2)
+        while not self._gone:
+            try:
+                if time.monotonic() >= alive_at and self._welcome is not None:
+                    alive_at = time.monotonic() + ALIVE_EVERY
+                    self._send(Alive())
+                data = self._socket.recv(MOST_BYTES + 1)
+                message = decode_up(data) if data else Goodbye("the executor closed the connection")
+            except TimeoutError:
+                continue
+            except (OSError, NoDriver, Malformed) as error:
+                message = Goodbye(f"the connection to the executor is broken: {error}")
+            with self._changed:
+                match message:
+                    case Goodbye():
+                        self._gone = self._gone or message.reason
+                    case Welcome():
+                        self._welcome = message
+                    case Snapshot():
+                        self.snapshot = message
+                    case Accepted() | Declined() | Ended() | Answer():
+                        self._heard = [*self._heard[-20:], message]
+                self._changed.notify_all()

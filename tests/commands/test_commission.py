@@ -1,0 +1,66 @@
+"""The command commission, as a process with an executor of its own and simulated boards, whose wiring differs."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ARM = """\
+# an arm with comments
+name: wired-{pid}
+modules:
+  - {{type: revolute, cylinders: [[0, 1], [0, 1]], link: {{position: [1, 0]}}}}
+tolerance: {{position: 0.1}}
+travel_time: 0.2  # of the maker
+buses: [{{name: can0, channel: can0, interface: virtual}}]
+actuators:
+  - {{module: 1, actuator: "1", bus: can0, node: 1, output: {a}, input: 0}}  # the first
+  - module: 1
+    actuator: "2"
+    bus: can0
+    node: 1
+    output: {b}  # the second
+    input_contracted: {end}
+"""
+SWAPPED = "\n1.2 e\n\n1.2 c\n"  # answers about 1.1
+OTHER = "\n1.1 e\n\n1.1 c\n"  # and about 1.2
+RIGHT = "\ne\n\nc\n"
+
+
+def commission(folder: Path, answers: str, *words: str) -> tuple[int, str]:
+    command = [sys.executable, "-m", "hyperbit", "commission", "arm.yaml", "--simulate", "--watch", "0.3"]
+    own = {**os.environ, "XDG_RUNTIME_DIR": str(folder), "HOME": str(folder)}
+    ran = subprocess.run([*command, *words], cwd=folder, input=answers, capture_output=True, text=True, env=own)
+    return ran.returncode, ran.stdout + ran.stderr
+
+
+def test_faults_are_found_in_two_sittings_proposed_written_and_gone(tmp_path: Path) -> None:
+    file, pid = tmp_path / "arm.yaml", os.getpid()
+    file.write_text(before := ARM.format(pid=pid, a=0, b=1, end=1))
+    truth = ARM.format(pid=pid, a=1, b=0, end="{bit: 1, inverted: true}")
+    (tmp_path / "true.yaml").write_text(truth)
+    code, told = commission(tmp_path, SWAPPED + "\n1.1 e\n\n", "--wired", "true.yaml")  # its terminal is closed
+    assert (code, "2 of 2: 1.2" in told, "continues here" in told) == (1, True, True), told
+    code, told = commission(tmp_path, OTHER + "y\n", "--wired", "true.yaml")
+    assert (code, "1 of 1: 1.2" in told, "the outputs of 1.1 and 1.2 are swapped" in told) == (1, True, True), told
+    assert "`input_contracted` of 1.2 is inverted" in told, told
+    assert (tmp_path / "arm.yaml.bak-1").read_text() == before
+    written = file.read_text()
+    times = "travel_time: 0.2"
+    assert [line for line in written.splitlines() if times not in line] == [
+        line for line in truth.splitlines() if times not in line
+    ]
+    code, told = commission(tmp_path, RIGHT + RIGHT + "n\n", "--wired", "true.yaml")
+    assert (code, "no fault of the wiring" in told, "all 2 actuators are commissioned" in told) == (0, True, True), told
+
+
+def test_bad_input_is_named_before_anything_moves(tmp_path: Path) -> None:
+    (tmp_path / "arm.yaml").write_text(ARM.format(pid=os.getpid(), a=0, b=1, end=1))
+    code, told = commission(tmp_path, "", "9.left")
+    assert (code, "'9.left' is no actuator of this arm, which has 1.1 to 1.2" in told) == (2, True), told
+    (tmp_path / "arm.commission.json").write_text("{")
+    code, told = commission(tmp_path, "x\n\nup\nq\n")
+    assert (code, "'x' is no answer: Enter, q" in told, "'up' is no answer: e, c, n" in told) == (1, True, True), told
+    assert list(tmp_path.glob("arm.commission.json.damaged-*"))
