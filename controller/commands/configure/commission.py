@@ -97,12 +97,15 @@ def driven(
         finally:
             driver.close()
         return
-    child = start_executor([str(file), "--socket", str(path), *words], simulate=simulate, typed=False)
+    log = file.with_name(f"{file.stem}.commission.log")
+    with log.open("wb") as messages:
+        child = start_executor([str(file), "--socket", str(path), *words], simulate=simulate, log=messages)
     try:
         until = time.monotonic() + STARTED_WITHIN
         while True:
             if child.poll() is not None:
-                raise CommandFailed(f"the executor ended with code {child.returncode}: its messages are above")
+                told = log.read_text(errors="replace").strip()
+                raise CommandFailed(f"the executor ended with code {child.returncode}: {told[-2000:]}")
             try:
                 driver = Commissioner(path, settings.name, digest)
                 break

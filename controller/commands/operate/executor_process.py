@@ -18,15 +18,15 @@ FOREGROUND_POLL = 0.5  # [s] between two attempts to read a terminal in the back
 END_TIMEOUT = 5.0  # [s] for the executor to end by itself
 
 
-def start_executor(words: Sequence[str], *, simulate: bool, typed: bool = True) -> subprocess.Popen[bytes]:
+def start_executor(words: Sequence[str], *, simulate: bool, log: IO[bytes] | None = None) -> subprocess.Popen[bytes]:
     """Starts `hyperbit execute` with these words; it ends with this process.
 
     Its process group is its own: Ctrl-C reaches only this process, which ends goals first. With `simulate` this process
-    passes the lines of its standard input on to the child, which reads commands for faults from them, unless `typed` is
-    False. A terminal is not passed on to another process group.
+    passes the lines of its standard input on to the child, which reads commands for faults from them. A terminal is not
+    passed on to another process group. With `log` the child reads nothing, and its messages go there.
     """
     command = [sys.executable, "-m", "hyperbit", "execute", *words, *["--simulate"] * simulate]
-    process = start_child(command, stdin=subprocess.PIPE if simulate and typed else subprocess.DEVNULL)
+    process = start_child(command, subprocess.PIPE if simulate and log is None else subprocess.DEVNULL, log)
     if process.stdin is not None:
         threading.Thread(target=pass_lines, args=(process.stdin,), name="lines", daemon=True).start()
     return process
@@ -50,7 +50,9 @@ def pass_lines(to: IO[bytes]) -> None:
             to.flush()
 
 
-def start_child(command: Sequence[str], stdin: int | None = None) -> subprocess.Popen[bytes]:
+def start_child(
+    command: Sequence[str], stdin: int | None = None, log: IO[bytes] | None = None
+) -> subprocess.Popen[bytes]:
     """Starts a program in a process group of its own; the kernel ends it with this process.
 
     In a session of its own Linux 6.18 would not schedule it for seconds on a busy machine.
@@ -64,7 +66,7 @@ def start_child(command: Sequence[str], stdin: int | None = None) -> subprocess.
 
     private = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")  # of systemd: only this process notifies it
     own = {name: value for name, value in os.environ.items() if name not in private}
-    return subprocess.Popen(command, preexec_fn=die_with_parent, process_group=0, stdin=stdin, env=own)
+    return subprocess.Popen(command, preexec_fn=die_with_parent, process_group=0, stdin=stdin, stderr=log, env=own)
 
 
 def end_child(process: subprocess.Popen[bytes], timeout: float = END_TIMEOUT) -> None:
