@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -87,7 +88,9 @@ class Commissioner:
         self._request += 1
         number, self.snapshot = self._request, None
         self._send(Reset(number, snapshot.epoch))
-        return self._wait(lambda: self._of(Answer, lambda one: one.request == number), ANSWER_WITHIN, "no answer")
+        mine = partial(self._of, Answer, lambda one: one.request == number)
+        answer: Answer = self._wait(mine, ANSWER_WITHIN, "no answer")
+        return answer
 
     def run(self, actuator: int, state: int, watch: float) -> Ended | str:
         """Tries one actuator when all are at rest; returns the result, or why nothing began.
