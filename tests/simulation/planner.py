@@ -41,29 +41,9 @@ from tests.simulation.executor.connection import Connection
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.executor.programs import Author, Drawn
 
-ACTS = {
-    **{
-        "program": 30,
-        "bad program": 8,
-        "bad set-point": 6,
-        "bad replacement": 5,
-        "replacement": 12,
-        "park": 6,
-        "resume": 12,
-    },
-    **{"set-point": 20, "wait": 40, "cancel": 3},
-    **{
-        "cancel program": 2,
-        "reset": 1,
-        "lock": 4,
-        "counts": 1.0,
-        "stray answer": 1,
-        "acknowledge": 8,
-        "operator": 1,
-        "fault to play": 1,
-        "commission": 1.5,
-    },
-}
+ACTS: dict[str, float] = {"program": 30, "bad program": 8, "bad set-point": 6, "bad replacement": 5, "replacement": 12}
+ACTS |= {"park": 6, "resume": 12, "set-point": 20, "wait": 40, "cancel": 3, "cancel program": 2, "reset": 1, "lock": 4}
+ACTS |= {"counts": 1, "stray answer": 1, "acknowledge": 8, "operator": 1, "fault to play": 1, "commission": 1.5}
 CALM_PATIENCE = {"": 0.01, "clear": 0.03, "touched": 0.03, "silent": 1e6, "stream": 0.12}  # [s] until an answer
 INTERRUPTS = 2 * 10**9  # number of the requests that arrive at once
 PLAYED = 10**9  # number of the requests of faults to play, which are answered when they were played

@@ -124,8 +124,8 @@ class TrialsMoveOneActuator(Statement):
         if not (trials or account.commissioned):
             return
         self.require(trials or not asked, f"{text} for {asked[0].number if asked else 0}, which is no trial")
-        unsure = account.missed | account.homing  # a board that missed a frame takes it with the next SYNC
+        unsure = account.pins.missed | account.homing  # a board that missed a frame takes it with the next SYNC
         for trial in trials:
             self.require(not mask & ~(trial.tried or 0) & ~unsure, f"{text} in the trial {trial.number}")
-            if sync is not None and mask & (trial.tried or 0) & ~account.missed:
+            if sync is not None and mask & (trial.tried or 0) & ~account.pins.missed:
                 self.require(self._moved.setdefault(trial.number, sync.at) == sync.at, f"{text} again")
