@@ -7,7 +7,6 @@ import numpy as np
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.actuators import travel_times
 from hyperbit.controller.armfile.choices import degrees_hint
-from hyperbit.controller.armfile.commissioned import warning_of
 from hyperbit.controller.armfile.modules import PrismaticSettings, RevoluteSettings, TransformsSettings, chain, places
 from hyperbit.controller.armfile.places import place
 from hyperbit.controller.armfile.settings import ArmSettings, BoxSettings
@@ -31,11 +30,9 @@ def file_warnings(arm: Arm) -> list[str]:
         *island_warnings(arm.settings),
         *bit_rate_warnings(arm.settings),
     ]
-    if arm.path is None:
+    if arm.path is None or not found:
         return found
-    placed = [fault_list(str(arm.path), [it.text], [it.line]) for it in place(arm.path, found)] if found else []
-    open_ = warning_of(arm.path, arm.settings, arm.manipulator.actuators, arm.wiring)
-    return placed + ([] if open_ is None else [f"{arm.path}: {open_}"])
+    return [fault_list(str(arm.path), [warning.text], [warning.line]) for warning in place(arm.path, found)]
 
 
 def size_warnings(arm: Arm) -> list[str]:

@@ -75,7 +75,8 @@ def ran(hyperbit, tmp_path: Path, own_folders: None, monkeypatch: pytest.MonkeyP
 
 def test_commands_without_a_daemon(ran: Callable[..., str], arm: Path, tmp_path: Path) -> None:
     file = str(arm)
-    assert json.loads(ran("check", file, "--json", "--picture", "arm.png"))["warnings"] == []
+    [warning] = json.loads(ran("check", file, "--json", "--picture", "arm.png"))["warnings"]
+    assert "never commissioned" in warning
     goal = ",".join(str(x) for x in json.loads(ran("fk", file, "0,0,0,0,0,0,0,0,0", "--json"))["position"])
     assert json.loads(ran("plan", file, "--goal", goal, "--json", "--deadline", "2"))["within_tolerance"]
     ran("map", file)

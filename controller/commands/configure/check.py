@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hyperbit.controller.armfile.commissioned import warning_of
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.armfile.terminals import named_boards
 from hyperbit.controller.commands import common
@@ -66,6 +67,8 @@ def check(
         words = "the file has no boards, which --bus and --eds need: name them under buses and actuators"
         raise InputFaults(file, [words])
     fields, warnings = summarize(arm), file_warnings(arm)
+    if (open_ := warning_of(file, arm.settings, arm.manipulator.actuators, arm.wiring)) is not None:
+        warnings.append(open_)
     if picture is not None:
         draw(arm, picture)
     if wiring is not None:
