@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.arm.saving import frame_fields
 from hyperbit.controller.calibration.fit import CannotFit, Fit, angles, distances, fit, plausible
 from hyperbit.controller.calibration.model import Array, Model
 from hyperbit.controller.calibration.parameters import (
@@ -25,7 +26,6 @@ from hyperbit.controller.calibration.parameters import (
     frame_of,
     parameters,
     value_at,
-    written,
 )
 from hyperbit.controller.calibration.samples import Samples
 from hyperbit.controller.manipulator.frames import Frame
@@ -176,12 +176,12 @@ def base_under(arm: Arm, samples: Samples) -> Description:
     best, chosen = np.eye(4), np.ones(len(tips), dtype=bool)
     nearest = np.median(np.linalg.norm(tips - measured, axis=1))
     for _ in range(2):
-        moved = frame_of(written(onto(tips[chosen], measured[chosen]), planar=manipulator.planar))
+        moved = frame_of(frame_fields(onto(tips[chosen], measured[chosen]), planar=manipulator.planar))
         away = np.linalg.norm(tips @ moved[:3, :3].T + moved[:3, 3] - measured, axis=1)
         chosen = away <= np.median(away)
         if np.median(away) < nearest:
             best, nearest = moved, np.median(away)
-    return written(best @ manipulator.base, planar=manipulator.planar)
+    return frame_fields(best @ manipulator.base, planar=manipulator.planar)
 
 
 def onto(points: Array, others: Array) -> Frame:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.arm.saving import frame_fields
 from hyperbit.controller.armfile.modules import ChainEntry, GroupSettings, chain, places
 from hyperbit.controller.armfile.names import shortened
 from hyperbit.controller.armfile.places import counted
@@ -72,8 +73,8 @@ def described(arm: Arm, *, each: bool) -> Description:
             own = [plain_entry(arm, where[k], first) for path, k in first.items() if path.startswith(f"modules[{g}]")]
             group = isinstance(it, GroupSettings)
             entries += [{"type": "group", "count": it.count, "modules": own}] if group else own
-    tip = {} if arm.tip is None else {"tip": written(arm.tip, planar=planar)}
-    return {"base": written(arm.manipulator.base, planar=planar), "modules": entries, **tip}
+    tip = {} if arm.tip is None else {"tip": frame_fields(arm.tip, planar=planar)}
+    return {"base": frame_fields(arm.manipulator.base, planar=planar), "modules": entries, **tip}
 
 
 def plain_entry(arm: Arm, entry: ChainEntry, first: Mapping[str, int]) -> Description:
@@ -84,10 +85,10 @@ def plain_entry(arm: Arm, entry: ChainEntry, first: Mapping[str, int]) -> Descri
         stack, place = modules[first[entry.path]].frames, first[entry.path]
         if arm.tip is not None and place == len(modules) - 1:
             stack = stack @ frames.inverse(arm.tip)
-        states = [written(frame, planar=planar) for frame in stack]
+        states = [frame_fields(frame, planar=planar) for frame in stack]
         plain = {"type": "transforms", "count": group.count, "states": states}
     if "link" in plain:
-        plain["link"] = written(frame_of(plain["link"]), planar=planar)
+        plain["link"] = frame_fields(frame_of(plain["link"]), planar=planar)
     return plain
 
 
@@ -99,12 +100,6 @@ def single(entry: Description, k: int) -> Description:
         if isinstance(own["lengths"], list):
             own["lengths"] = {name: list(own["lengths"]) for name in ACTUATORS}
     return own
-
-
-def written(frame: Frame, *, planar: bool) -> Description:
-    """Returns the fields of a file for a frame (4, 4)."""
-    position = frame[: 2 if planar else 3, 3].tolist()
-    return {"position": position, "orientation": frames.angle(frame) if planar else frames.quaternion(frame).tolist()}
 
 
 def frame_of(settings: Description) -> Frame:

@@ -1,6 +1,6 @@
 """The names of the package `hyperbit`; its own file is .package/hyperbit/__init__.py."""
 
-from hyperbit.controller.library.arm import Arm, load
+from hyperbit.controller.library.arm import Arm
 from hyperbit.controller.library.calibration import Fitted, calibrate
 from hyperbit.controller.library.density import Density
 from hyperbit.controller.library.errors import (
@@ -15,6 +15,7 @@ from hyperbit.controller.library.errors import (
     StudyError,
 )
 from hyperbit.controller.library.goals import Goal
+from hyperbit.controller.library.loading import load
 from hyperbit.controller.library.many import map
 from hyperbit.controller.library.modules import Module, group, platform, prismatic, revolute, transforms, vgt
 from hyperbit.controller.library.obstacles import Box, Disc, HalfPlane, HalfSpace, Obstacle, Sphere

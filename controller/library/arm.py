@@ -15,12 +15,12 @@ from hyperbit.controller.arm import arm as config
 from hyperbit.controller.arm.weights import weights_of
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.settings import ArmSettings
-from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.library.density import Density
 from hyperbit.controller.library.errors import ArmError, ConfigurationError, GoalError, LockError
 from hyperbit.controller.library.goals import Number
 from hyperbit.controller.library.modules import Module, build, checked, frame_settings
 from hyperbit.controller.library.obstacles import Obstacle, obstacle_settings
+from hyperbit.controller.library.saving import save_arm
 from hyperbit.controller.manipulator.locked import LockedStates, lock_actuators, transferred
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.manipulator.notation import format_configuration, parse_configuration
@@ -193,6 +193,17 @@ class Arm:
         except ValueError as error:
             raise LockError(str(error)) from None
 
+    def save(self, path: str | Path) -> None:
+        """Writes the arm's file, which `load` reads and `hyperbit check` accepts; an existing file is replaced.
+
+        Fields with their defaults are left out, and tables are written out. Locked actuators become `stuck`.
+
+        Raises:
+            ArmError: the file cannot be written, or a table of the arm's file is gone.
+            LockError: actuators are locked, and the arm maps none to boards: an arm's file names them there.
+        """
+        save_arm(self._arm, self._locked_states, Path(path))
+
     def frame(self, configuration: ArrayLike | str) -> Array:
         """Returns the tip's frame in the world, shape (4, 4), of a configuration (B,).
 
@@ -344,15 +355,3 @@ class Arm:
         found = transferred(configuration, self._reduced, self._whole).copy()
         found.flags.writeable = False
         return found
-
-
-def load(path: str | Path) -> Arm:
-    """Loads the arm of a YAML file; actuators that the file declares stuck are locked.
-
-    Raises:
-        ArmError: the file is missing or wrong.
-    """
-    try:
-        return Arm._of(config.load(Path(path)))
-    except InputFaults as error:
-        raise ArmError(error.faults, str(path), error.lines) from None

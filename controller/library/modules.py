@@ -9,6 +9,7 @@ from msgspec import Struct, to_builtins
 from numpy.typing import ArrayLike
 
 from hyperbit.controller.arm import arm as config
+from hyperbit.controller.arm.saving import frame_fields
 from hyperbit.controller.armfile.fields import Diagonal
 from hyperbit.controller.armfile.modules import (
     EntrySettings,
@@ -163,7 +164,7 @@ def transforms(states: ArrayLike, *, count: int = 1) -> TransformsSettings:
     if stack.ndim != 3 or stack.shape[1:] != (4, 4):
         raise ArmError([f"frames of shape (K, 4, 4) are needed, got shape {stack.shape}"], "transforms")
     planar = all(in_plane(frame) for frame in stack)
-    listed = [frame_fields(frame, planar=planar) for frame in stack]
+    listed = [rigid_fields(frame, planar=planar) for frame in stack]
     return checked(TransformsSettings, {"states": listed, "count": count}, "transforms")
 
 
@@ -184,11 +185,11 @@ def placement(given: ArrayLike) -> dict[str, Any]:
     """Returns a position (2,) or (3,), or a frame (4, 4), in the form of an arm's file."""
     values = np.array(plain(given))
     if values.shape == (4, 4):
-        return frame_fields(values, planar=in_plane(values))
+        return rigid_fields(values, planar=in_plane(values))
     return {"position": values.tolist()}
 
 
-def frame_fields(frame: frames.Frame, *, planar: bool) -> dict[str, Any]:
+def rigid_fields(frame: frames.Frame, *, planar: bool) -> dict[str, Any]:
     """Returns a frame (4, 4) in the form of an arm's file.
 
     Raises:
@@ -198,9 +199,7 @@ def frame_fields(frame: frames.Frame, *, planar: bool) -> dict[str, Any]:
     rigid = np.abs(rotation.T @ rotation - np.eye(3)).max() <= RIGID and np.linalg.det(rotation) > 0
     if not rigid or not np.array_equal(frame[3], (0.0, 0.0, 0.0, 1.0)):
         raise ArmError(["a frame must be a rotation and a translation, with the last row 0, 0, 0, 1"], "frame")
-    if planar:
-        return {"position": frame[:2, 3].tolist(), "orientation": frames.angle(frame)}
-    return {"position": frame[:3, 3].tolist(), "orientation": frames.quaternion(frame).tolist()}
+    return frame_fields(frame, planar=planar)
 
 
 def in_plane(frame: frames.Frame) -> bool:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-import yaml
 
 from hyperbit.controller.arm.arm import load
+from hyperbit.controller.arm.saving import write_arm
 from hyperbit.controller.armfile.documents import read_yaml
 from hyperbit.controller.armfile.places import counted
 from hyperbit.controller.armfile.strict import InputFaults
@@ -93,23 +92,16 @@ def calibrate(
 
 def write(out: Path, file: Path, samples: Path, found: Calibration) -> None:
     """Writes the fitted arm's file, after reading a draft of it back."""
-    raw = {**read_yaml(file), **found.description}
     before, after = found.before.position.rms, found.after.position.rms
-    text = f"# {file.name}, fitted to the {found.samples} tips in {samples.name}: rms {before:.3g}, now {after:.3g}.\n"
-    text += yaml.safe_dump(raw, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True)
-    draft = out.with_name(f".{out.name}.{os.getpid()}")
+    comment = f"{file.name}, fitted to the {found.samples} tips in {samples.name}: rms {before:.3g}, now {after:.3g}."
     try:
-        draft.write_text(text, encoding="utf-8")
-        load(draft)
-        draft.replace(out)
+        write_arm(out, {**read_yaml(file), **found.description}, comment)
     except InputFaults as error:
         raise CommandFailed(
             f"the fitted numbers describe no valid arm, nothing is written: {error.faults[0]}"
         ) from None
     except OSError as error:
         raise CommandFailed(f"{out} cannot be written: {error.strerror}") from None
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def payload(found: Calibration) -> dict[str, Any]:
