@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 from collections import deque
@@ -27,13 +26,13 @@ from hyperbit.controller.commands.common import (
     shown,
 )
 from hyperbit.controller.commands.goal_rows import Orientation, goal_rows
-from hyperbit.controller.host.files import is_at
 from hyperbit.controller.host.keeper import FileInUse, lock_file
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.manipulator.locked import transferred
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.motion.plans.description import describe_solution
 from hyperbit.controller.search.method import Method
+from hyperbit.controller.studies import lines
 
 if TYPE_CHECKING:  # the search's kernels take a second to import
     from hyperbit.controller.search.solution import Solution
@@ -222,29 +221,13 @@ def results_file(
 
 
 def write_line(path: Path, file: IO[bytes], line: Mapping[str, Any]) -> None:
-    """Writes a line without the file's buffer, which would be written again when it is closed."""
-    data = json.dumps(line).encode() + b"\n"
+    """Writes a line of results."""
     try:
-        if not is_at(path, file.fileno()):
+        if lines.write_line(path, file, line):
             errors.print(f"{path} was deleted or moved: it is written again", markup=False)
-            write_again(path, file)
-        if os.write(file.fileno(), data) < len(data):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     except OSError as error:
         step = "free disk space; the same command then goes on where it ended"
         raise CommandFailed(f"{path} cannot be written: {error.strerror}", step) from None
-
-
-def write_again(path: Path, file: IO[bytes]) -> None:
-    """Copies an open file, which is no longer at its path, to this path; it then goes on there. Raises OSError."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    number, done = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666), 0
-    try:
-        while data := os.pread(file.fileno(), 1 << 20, done):
-            done += os.write(number, data)
-        os.dup2(number, file.fileno(), inheritable=False)
-    finally:
-        os.close(number)
 
 
 def check_header(path: Path, line: bytes, header: Mapping[str, Any]) -> None:
