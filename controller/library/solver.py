@@ -100,6 +100,7 @@ class Solver:
         method: Method = MINIMUM_SWITCH,
         deadline: Number = GOAL_DEADLINE,
         effort: Number | None = None,
+        missed: Number | None = None,
     ) -> Solution:
         """Returns a configuration for a goal. If the goal is out of reach, returns the nearest configuration found.
 
@@ -110,14 +111,15 @@ class Solver:
             deadline: time for the search for fewest switches [s]. A goal that is not reached by then gets 1 s in all,
                 or the deadline if it is longer.
             effort: work for the search in place of `deadline`; one unit is about a millisecond of an ordinary computer.
-                The solution is then the same on every run. A goal that is not reached by then gets 1000 in all, or the
-                effort if it is more.
+                The solution is then the same on every run. A goal that is not reached by then gets `missed` in all, or
+                the effort if it is more.
+            missed: work for a goal that is not reached; None: 1000. Only with `effort`.
 
         Raises:
             GoalError: the goal has another dimension than the arm, or the method, deadline or effort is invalid.
             ConfigurationError: the start is no configuration of the arm.
         """
-        allowed = checked_time(method, deadline, effort)
+        allowed = checked_time(method, deadline, effort, missed)
         return self._solve(self._search, self._with_tolerances(goal), self._start(start), method, allowed)
 
     def solve_many(
@@ -128,6 +130,7 @@ class Solver:
         method: Method = MINIMUM_SWITCH,
         deadline: Number = GOAL_DEADLINE,
         effort: Number | None = None,
+        missed: Number | None = None,
     ) -> list[Solution]:
         """Returns a configuration for each goal, all from the same start, in the order of the goals.
 
@@ -140,12 +143,13 @@ class Solver:
             method: one of `METHODS`.
             deadline: see solve; of each goal.
             effort: see solve; of each goal.
+            missed: see solve; of each goal.
 
         Raises:
             GoalError: see solve.
             ConfigurationError: the start is no configuration of the arm.
         """
-        allowed = checked_time(method, deadline, effort)
+        allowed = checked_time(method, deadline, effort, missed)
         asked, before = [self._with_tolerances(goal) for goal in goals], self._start(start)
         idle, count = SimpleQueue[search.Solver](), min(len(os.sched_getaffinity(0)), len(asked))
         for searcher in self._searches(count):
@@ -279,19 +283,22 @@ class Solver:
         return replace(found, configuration=self.arm._to_whole(found.configuration))
 
 
-def checked_time(method: str, deadline: Number, effort: Number | None) -> SearchTime:
-    """Returns the time of the search for one goal, or its work if an effort is given.
+def checked_time(method: str, deadline: Number, effort: Number | None, missed: Number | None = None) -> SearchTime:
+    """Returns the time of the search for one goal, or its work if an effort is given, see Solver.solve.
 
     Raises:
         GoalError: there is no such method, or a number is not positive.
     """
     if effort is None:
         check_search(method, deadline=deadline)
+        if missed is not None:
+            raise GoalError("missed: give effort as well, a search by time has a deadline")
         return search_time(float(deadline))
     check_search(method)
-    if not 0 < effort < math.inf:
-        raise GoalError(f"effort: a positive number is needed, got {effort!r}")
-    return search_effort(float(effort))
+    for name, value in (("effort", effort), ("missed", missed)):
+        if value is not None and not 0 < value < math.inf:
+            raise GoalError(f"{name}: a positive number is needed, got {value!r}")
+    return search_effort(float(effort), None if missed is None else float(missed))
 
 
 def check_search(method: str, **deadlines: Number) -> None:

@@ -44,9 +44,10 @@ def search_time(first: float, per_switch: float = 0.0, deadline: float | None = 
     return SearchTime(first, per_switch, deadline, deadline)
 
 
-def search_effort(effort: float) -> SearchTime:
-    """Returns the work of a search that goes on until that of UNFOUND as long as nothing is found.
+def search_effort(effort: float, missed: float | None = None) -> SearchTime:
+    """Returns the work of a search that goes on until `missed` as long as nothing is found; None: that of UNFOUND.
 
-    One unit of `effort` takes about EFFORT seconds on an ordinary computer.
+    One unit of `effort` and `missed` takes about EFFORT seconds on an ordinary computer.
     """
-    return search_time(effort * EFFORT)._replace(by_work=True)
+    first, most = effort * EFFORT, None if missed is None else max(effort, missed) * EFFORT
+    return search_time(first, deadline=most)._replace(by_work=True)
