@@ -178,6 +178,11 @@ GROUPS = {
             "Search configurations for goals, without hardware.",
             "hyperbit plan deploy/planar16.yaml --goal 0.55,2.9,0.3",
         ),
+        "design": CommandEntry(
+            "study.design",
+            "Search arms that reach targets with few switches and few actuators; print the best, write their files.",
+            "hyperbit design shelf.yaml --arms designs",
+        ),
         "fk": CommandEntry(
             "study.report",
             "Print position and orientation of the tip for a configuration.",

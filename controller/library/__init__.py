@@ -1,8 +1,10 @@
 """The names of the package `hyperbit`; its own file is .package/hyperbit/__init__.py."""
 
+from hyperbit.controller.design.merit import Merit
 from hyperbit.controller.library.arm import Arm
 from hyperbit.controller.library.calibration import Fitted, calibrate
 from hyperbit.controller.library.density import Density
+from hyperbit.controller.library.design import Design, Designs, Study, design, merit
 from hyperbit.controller.library.errors import (
     ArmError,
     CalibrationError,
@@ -34,6 +36,8 @@ __all__ = [
     "Certificate",
     "ConfigurationError",
     "Density",
+    "Design",
+    "Designs",
     "Disc",
     "Error",
     "Fitted",
@@ -42,6 +46,7 @@ __all__ = [
     "HalfPlane",
     "HalfSpace",
     "LockError",
+    "Merit",
     "Method",
     "Module",
     "Obstacle",
@@ -51,11 +56,14 @@ __all__ = [
     "Solution",
     "Solver",
     "Sphere",
+    "Study",
     "StudyError",
     "calibrate",
+    "design",
     "group",
     "load",
     "map",
+    "merit",
     "platform",
     "plot",
     "prismatic",

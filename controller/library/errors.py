@@ -49,7 +49,7 @@ class PathError(Error):
 
 
 class StudyError(Error):
-    """Goals cannot be computed by worker processes or on a cluster. The message says what is missing there."""
+    """A study of designs is wrong, or work cannot be shared with processes or a cluster. The message says why."""
 
 
 class CalibrationError(Error):

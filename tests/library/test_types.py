@@ -50,6 +50,11 @@ def solve(points: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> Iterator
     hb.plot(arm, path, title=certificate).savefig("path.png")
     density: hb.Density = arm.density()
     fitted: hb.Fitted = hb.calibrate(arm, path.configurations, path.positions)
+    worth: hb.Merit = hb.merit(arm, points, weights=np.ones(len(points)), effort=np.int64(10))
+    study = hb.Study(lambda width: hb.Arm([hb.vgt(width=width, lengths=(0.2, 0.25))]), {}, points, seed=1)
+    designs: hb.Designs = hb.design(study, 10, output="designs.jsonl", workers=2)
+    best: hb.Design = designs.front[0]
+    print(worth.reached, designs.table(), best.final, designs.save("arms"), designs.plot())
     print(len(many), density.total, fitted.arm.name, version)
     yield from hb.map(ik, points, workers=2)
 
