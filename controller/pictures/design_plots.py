@@ -85,7 +85,7 @@ def draw_front(axes: Axes, title: str, designs: NDArray[np.float64], arms: Seque
 
 def small(axes: Axes) -> None:
     """Takes labels and legend from the axes of a small picture."""
-    axes.set(xlabel="", ylabel="")
+    axes.set(xlabel="", ylabel="", **({"zlabel": ""} if axes.name == "3d" else {}))
     axes.tick_params(labelsize=6)
     axes.title.set_fontsize(9)
     if (legend := axes.get_legend()) is not None:
