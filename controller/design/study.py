@@ -71,13 +71,9 @@ class Study:
         """Whether the study asks for reach with a stuck actuator."""
         return "stuck" in (*self.settings.objectives, *self.settings.require)
 
-    def draw(self, random: np.random.Generator) -> Values:
-        """Returns random values of all parameters."""
-        return {name: drawn(own, random) for name, own in self.settings.parameters.items()}
-
     def warnings(self) -> list[str]:
         """Returns a warning for each target that no arm of several random ones is long enough for."""
-        arms = [arm for arm in some_arms(self.build, self.draw, LOOKED_AT) if isinstance(arm, Judged)]
+        arms = [arm for arm in some_arms(self.build, self.settings, LOOKED_AT) if isinstance(arm, Judged)]
         reaches = [(arm.manipulator.base[:3, 3], arm.manipulator.length + arm.arm.tolerance) for arm in arms]
         far = [
             np.round(target.position, 4).tolist()
@@ -135,13 +131,8 @@ def opened(
     settings: StudySettings, build_arm: Build, compared: Sequence[Compared], digest: str
 ) -> tuple[Study | None, list[str]]:
     """Returns the study of checked fields and its arms, or None and faults."""
-    random = np.random.default_rng(settings.seed)
-
-    def draw(generator: np.random.Generator) -> Values:
-        return {name: drawn(own, generator) for name, own in settings.parameters.items()}
-
-    faults = list[str]()
-    for found in some_arms(build_arm, draw, MOST_IMPOSSIBLE):
+    random, faults = np.random.default_rng(settings.seed), list[str]()
+    for found in some_arms(build_arm, settings, MOST_IMPOSSIBLE):
         if isinstance(found, Judged):
             break
         faults.append(found)
@@ -160,12 +151,12 @@ def opened(
     return Study(settings, build_arm, tuple(targets), tuple(fresh), tuple(compared), digest), []
 
 
-def some_arms(build_arm: Build, draw: Callable[[np.random.Generator], Values], count: int) -> Iterator[Judged | str]:
+def some_arms(build_arm: Build, settings: StudySettings, count: int) -> Iterator[Judged | str]:
     """Yields random arms, or the faults of those that are impossible."""
     random = np.random.default_rng(0)
     for _ in range(count):
         try:
-            yield build_arm(draw(random))
+            yield build_arm(random_values(settings, random))
         except Impossible as error:
             yield str(error)
 
@@ -177,6 +168,11 @@ def all_impossible(faults: Sequence[str]) -> str:
     example = next(fault for fault in faults if fault.partition(": ")[0] == place).partition(": ")[2]
     words = f"{len(faults)} random designs in a row were impossible, {count} of them here, the first as {example}"
     return f"arm.{place}: {words}"
+
+
+def random_values(settings: StudySettings, random: np.random.Generator) -> Values:
+    """Returns random values of all parameters."""
+    return {name: drawn(own, random) for name, own in settings.parameters.items()}
 
 
 def drawn(own: ParameterSettings, random: np.random.Generator) -> Value:

@@ -11,6 +11,8 @@ import pytest
 from distributed import Client
 
 import hyperbit as hb
+from hyperbit.controller.design.explore import explore
+from hyperbit.controller.design.kept import kept
 from hyperbit.controller.studies.workers import local_workers
 from tests.design.conftest import run
 from tests.waiting import PATIENCE, eventually
@@ -28,9 +30,11 @@ def test_two_workers_write_the_bytes_of_one_process_though_one_is_killed(two, st
     run(study, tmp_path / "alone.jsonl", 16)
     run(study, tmp_path / "two.jsonl", 16, client=two)
     assert (tmp_path / "two.jsonl").read_bytes() == (tmp_path / "alone.jsonl").read_bytes()
-    run(study, tmp_path / "killed.jsonl", 16, 3, client=two)
-    os.kill(two.run(os.getpid).popitem()[1], signal.SIGKILL)
-    run(study, tmp_path / "killed.jsonl", 16, client=two)
+    victim = two.run(os.getpid).popitem()[1]
+    with kept(tmp_path / "killed.jsonl", study, 5, 16) as found:
+        for step in explore(study, 16, 5, found, two):
+            if step.part == "designs" and step.done == 3:
+                os.kill(victim, signal.SIGKILL)
     assert (tmp_path / "killed.jsonl").read_bytes() == (tmp_path / "alone.jsonl").read_bytes()
 
 

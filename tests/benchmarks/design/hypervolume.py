@@ -15,7 +15,7 @@ import numpy as np
 from hyperbit.controller.design.front import losses, volume
 from hyperbit.controller.design.judging import DesignJob, Share
 from hyperbit.controller.design.search import Figures, evaluations
-from hyperbit.controller.design.study import Impossible, Study, read_study
+from hyperbit.controller.design.study import Impossible, Study, random_values, read_study
 from hyperbit.controller.studies.shares import alone
 
 FOLDER = Path(__file__).parent
@@ -25,7 +25,7 @@ REFERENCES = {"trusses": (1.0, 30.0, 49.0), "platforms": (1.0, 20.0, 25.0)}  # l
 def random_figures(study: Study, count: int, seed: int) -> list[Figures]:
     random, shares = np.random.default_rng([seed, 2]), list[Share]()
     while len(shares) < count:
-        values = study.draw(random)
+        values = random_values(study.settings, random)
         try:
             study.build(values)
         except Impossible:
