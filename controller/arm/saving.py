@@ -34,10 +34,13 @@ def fields_of(arm: Arm, locked: LockedStates) -> Fields:
     if arm.wiring:
         held = [None if state < 0 else STATES[state] for state in locked.tolist()]
         wiring = [structs.replace(entry, stuck=state) for entry, state in zip(arm.wiring, held, strict=True)]
-        settings = structs.replace(settings, actuators=wiring)
+        settings = structs.replace(settings, actuators=wiring, wiring=None)
     fields: Fields = plain(settings)
-    folder = Path() if arm.path is None else arm.path.parent
-    return {**fields, "modules": listed(fields["modules"], folder)}
+    path, faults = arm.path or Path(), list[str]()
+    fields["modules"] = listed(fields["modules"], path.parent, faults)
+    if faults:
+        raise InputFaults(path, faults)
+    return fields
 
 
 def plain(value: Any) -> Any:
@@ -56,20 +59,20 @@ def default_of(field: structs.FieldInfo) -> Any:
     return field.default if field.default_factory is NODEFAULT else field.default_factory()
 
 
-def listed(modules: Sequence[Fields], folder: Path) -> list[Fields]:
+def listed(modules: Sequence[Fields], folder: Path, faults: list[str], path: str = "") -> list[Fields]:
     """Returns entries of `modules` with the frames of their tables, which are CSV files in a folder.
 
-    Raises:
-        InputFaults: a table cannot be read.
+    A sentence is appended to `faults` for each table that cannot be read; `path` is that of a group around.
     """
     found = list[Fields]()
     for g, entry in enumerate(modules):
-        own, faults = dict(entry), list[str]()
-        if (name := own.pop("table", None)) is not None:
-            table = read_table(folder, name, f"modules[{g}].table", faults)
-            if table is None:
-                raise InputFaults(folder / name, faults)
-            own["states"] = [frame_fields(frame, planar=table.planar) for frame in table.frames]
+        own, place = dict(entry), f"{path}modules[{g}]"
+        if isinstance(own.get("modules"), list):
+            own["modules"] = listed(own["modules"], folder, faults, f"{place}.")
+        if isinstance(name := own.get("table"), str):
+            del own["table"]
+            table = read_table(folder, name, f"{place}.table", faults)
+            own["states"] = [frame_fields(it, planar=table.planar) for it in table.frames] if table else []
         found.append(own)
     return found
 

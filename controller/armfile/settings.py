@@ -276,6 +276,21 @@ def with_wiring(document: Any, folder: Path, faults: list[str]) -> Any:
     return {**document, "actuators": read_wiring(folder, name, ActuatorSettings.__struct_fields__, faults)}
 
 
+def parse_settings(document: Any, folder: Path, faults: list[str]) -> ArmSettings | None:
+    """Returns the fields of the plain value of an arm's file, or None with the faults appended.
+
+    `folder` is that of the file, in which its wiring is looked for.
+    """
+    raw = with_wiring(with_group_types(document), folder, faults)
+    settings = check(raw, ArmSettings, faults, factors(raw.get("unit") if isinstance(raw, dict) else None))
+    if settings is None or faults:
+        return None
+    if (modules := count_modules(settings.modules)) > MOST_MODULES:
+        faults.append(f"modules: {modules} modules, at most {MOST_MODULES} are possible")
+        return None
+    return settings
+
+
 def read_settings(path: Path) -> tuple[ArmSettings, list[str]]:
     """Returns the fields of an arm's file, and the faults that involve several fields.
 
@@ -283,12 +298,9 @@ def read_settings(path: Path) -> tuple[ArmSettings, list[str]]:
         InputFaults: the file is missing or unreadable, or a field is wrong.
     """
     faults: list[str] = []
-    raw = with_wiring(with_group_types(read_yaml(path)), path.parent, faults)
-    settings = check(raw, ArmSettings, faults, factors(raw.get("unit") if isinstance(raw, dict) else None))
-    if settings is None or faults:
+    settings = parse_settings(read_yaml(path), path.parent, faults)
+    if settings is None:
         raise InputFaults(path, faults)
-    if (modules := count_modules(settings.modules)) > MOST_MODULES:
-        raise InputFaults(path, [f"modules: {modules} modules, at most {MOST_MODULES} are possible"])
     boards = settings.boards
     if boards.heartbeat_timeout <= 1.5 * boards.heartbeat:
         faults.append(

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperbit.controller.arm.saving import fields_of, write_arm
+from hyperbit.controller.arm.saving import Fields, fields_of, write_arm
+from hyperbit.controller.armfile.new_file import Answers, wiring_rows
 from hyperbit.controller.design.explore import Finalist
 from hyperbit.controller.design.search import Evaluation, Figures
 from hyperbit.controller.design.study import Study
-from hyperbit.controller.manipulator.manipulator import Manipulator
 
 if TYPE_CHECKING:  # matplotlib takes half a second to import
     from matplotlib.figure import Figure
 
-MOST_NODES = 126  # of a bus; the master has 127
+BUS = "can0"
 
 
 def table(study: Study, found: Sequence[Finalist]) -> tuple[list[str], list[list[str]]]:
@@ -72,7 +72,7 @@ def as_text(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def save(study: Study, found: Sequence[Finalist], folder: Path) -> Iterator[Path]:
     """Writes the file of each design; yields its path.
 
-    A design without a wiring gets one board for each module, so that simulated boards can run it.
+    A design without a wiring gets one to boards with 8 outputs, so that simulated boards can run it.
 
     Raises:
         InputFaults: an arm cannot be written as a file.
@@ -83,22 +83,21 @@ def save(study: Study, found: Sequence[Finalist], folder: Path) -> Iterator[Path
         if one.values is None:
             continue
         fields = {**fields_of(one.arm.arm, one.arm.locked), "name": one.name}
-        if not one.arm.arm.wiring and len(one.arm.manipulator.modules) <= MOST_NODES:
-            fields |= wiring(one.arm.manipulator)
+        if not one.arm.arm.wiring:
+            fields |= wiring(one)
         path = folder / f"{one.name}.yaml"
         figures = ", ".join(f"{name} {shown(value)}" for name, value in one.figures.items())
         write_arm(path, fields, f"A design of the study {study.settings.name}: {figures}.")
         yield path
 
 
-def wiring(arm: Manipulator) -> dict[str, Any]:
-    """Returns a wiring of an arm: a board for each module, with an output and an input for each actuator."""
-    actuators = [
-        {"module": i, "actuator": name, "bus": "can0", "node": i, "output": k, "input": k}
-        for i, module in enumerate(arm.modules, 1)
-        for k, name in enumerate(module.actuators)
-    ]
-    return {"buses": [{"name": "can0", "channel": "can0"}], "actuators": actuators}
+def wiring(one: Finalist) -> Fields:
+    """Returns a wiring of an arm to as few boards as have room; none if one bus has not room enough."""
+    try:
+        rows = wiring_rows(Answers(one.name, (), bus=BUS), one.arm.manipulator.actuators)
+    except ValueError:
+        return {}
+    return {"buses": [{"name": BUS, "channel": BUS}], "actuators": rows}
 
 
 def picture_of(study: Study, designs: Sequence[Evaluation], found: Sequence[Finalist]) -> Figure:

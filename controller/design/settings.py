@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, field
 
-from hyperbit.controller.armfile.settings import (
+from hyperbit.controller.armfile.fields import (
     Angle,
     AngleTolerance,
     Name,

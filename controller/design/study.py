@@ -14,8 +14,9 @@ from hyperbit.controller.arm.arm import build, load
 from hyperbit.controller.arm.saving import listed
 from hyperbit.controller.armfile.documents import read_yaml
 from hyperbit.controller.armfile.places import placed_faults
-from hyperbit.controller.armfile.settings import ArmSettings
+from hyperbit.controller.armfile.settings import parse_settings, with_wiring
 from hyperbit.controller.armfile.strict import InputFaults, check
+from hyperbit.controller.armfile.units import factors
 from hyperbit.controller.design.merit import Judged, Target, judged
 from hyperbit.controller.design.settings import (
     ParameterSettings,
@@ -93,7 +94,7 @@ class Template:
     def __call__(self, values: Values) -> Judged:
         """Returns the arm of some values. Raises Impossible."""
         faults: list[str] = []
-        settings = check({"name": NAME, **filled(self.fields, values)}, ArmSettings, faults)
+        settings = parse_settings({"name": NAME, **filled(self.fields, values)}, Path(), faults)
         if settings is None:
             raise Impossible(faults[0])
         try:
@@ -111,7 +112,8 @@ def read_study(path: Path) -> Study:
     """
     with placed_faults(path):
         faults: list[str] = []
-        settings = check(read_yaml(path), StudySettings, faults)
+        raw = read_yaml(path)
+        settings = check(raw, StudySettings, faults, factors(unit_of(raw)))
         faults += [] if settings is None else faults_of(settings)
         if settings is None or faults:
             raise InputFaults(path, faults)
@@ -230,20 +232,29 @@ def certain_faults(template: Template, parameters: Mapping[str, ParameterSetting
     for pick in (0, -1):
         ends = {name: (own.between or own.among or [0])[pick] for name, own in parameters.items()}
         faults: list[str] = []
-        check({"name": NAME, **filled(template.fields, ends)}, ArmSettings, faults)
+        parse_settings({"name": NAME, **filled(template.fields, ends)}, Path(), faults)
         each.append(set(faults))
     return [f"arm.{fault}" for fault in sorted(each[0] & each[1])]
 
 
 def with_tables(fields: Mapping[str, Any], path: Path) -> Mapping[str, Any]:
-    """Returns an arm's fields with the frames of its tables, which workers elsewhere need."""
-    modules = fields.get("modules")
-    if not isinstance(modules, list) or not all(isinstance(entry, dict) for entry in modules):
-        return fields
-    try:
-        return {**fields, "modules": listed(modules, path.parent)}
-    except InputFaults as error:
-        raise InputFaults(path, [f"arm.{fault}" for fault in error.faults]) from None
+    """Returns an arm's fields with the content of its CSV files, which workers elsewhere need."""
+    faults: list[str] = []
+    own = dict(with_wiring(fields, path.parent, faults))
+    if "actuators" in own:
+        own.pop("wiring", None)
+    modules = own.get("modules")
+    if isinstance(modules, list) and all(isinstance(entry, dict) for entry in modules):
+        own["modules"] = listed(modules, path.parent, faults)
+    if faults:
+        raise InputFaults(path, [f"arm.{fault}" for fault in faults])
+    return own
+
+
+def unit_of(raw: Any) -> Any:
+    """Returns the unit that the arm of a study's file names."""
+    arm = raw.get("arm") if isinstance(raw, dict) else None
+    return arm.get("unit") if isinstance(arm, dict) else None
 
 
 def digest_of(content: Any) -> str:

@@ -210,7 +210,7 @@ class Designs:
     def save(self, folder: str | Path) -> list[Path]:
         """Writes the arm's file of each design of the front, and returns the paths.
 
-        An arm without a wiring gets one board for each module.
+        An arm without a wiring gets one to boards with 8 outputs.
 
         Raises:
             ArmError: a file cannot be written.

@@ -116,6 +116,28 @@ require: {reached: 0.5}
     assert study.targets[41].goal.shape == (4, 4)
 
 
+def test_units_groups_and_tables_of_an_arm_are_those_of_its_file(tmp_path):
+    (tmp_path / "states.csv").write_text("x,y,th\n0,200,0.1\n0,250,-0.1\n")
+    (tmp_path / "study.yaml").write_text("""
+name: mine
+parameters: {count: {between: [1, 3]}, link: {between: [50, 150]}}
+arm:
+  unit: mm
+  tolerance: {position: 2 mm}
+  modules:
+    - count: $count
+      modules:
+        - {type: transforms, table: states.csv}
+        - {type: revolute, angles: [-30 deg, 30 deg], link: {position: [0, $link]}}
+targets: [{position: [10 cm, 300], tolerance: 1 cm}]
+""")
+    study = read_study(tmp_path / "study.yaml")
+    (tmp_path / "states.csv").unlink()  # workers elsewhere have none
+    arm = study.build({"count": 2, "link": 100})
+    assert (arm.arm.settings.unit, len(arm.manipulator.modules)) == ("mm", 4)
+    assert (study.targets[0].position.tolist(), study.targets[0].tolerance) == ([100.0, 300.0], 10.0)
+
+
 numbers = st.integers(-5, 5) | st.floats(-5, 5)
 trees = st.recursive(
     numbers | st.sampled_from(["$a", "$b", "text"]),

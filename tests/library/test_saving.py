@@ -31,7 +31,11 @@ joints = st.builds(
 )
 slides = st.builds(lambda pair: hb.prismatic((0, 1), cylinders=[pair], count=2), st.just((0.0, 1e-5)))
 platforms = st.builds(lambda most: hb.platform(JOINTS, JOINTS, (0.18, most)), st.floats(0.19, 0.22))
-modules = st.lists(trusses | joints | slides | platforms, min_size=1, max_size=4)
+single = trusses | joints | slides | platforms
+groups = st.builds(
+    lambda own, count: hb.group(own, count=count), st.lists(single, min_size=1, max_size=2), st.integers(1, 3)
+)
+modules = st.lists(single | groups, min_size=1, max_size=4)
 
 
 def same(one: hb.Arm, other: hb.Arm) -> None:
@@ -42,12 +46,13 @@ def same(one: hb.Arm, other: hb.Arm) -> None:
 
 
 @settings(deadline=None, max_examples=40)
-@given(modules, st.floats(1e-4, 0.1), st.none() | st.just((0.1, 0.0)))
-def test_an_arm_in_code_is_read_back(tmp_path_factory, chain, tolerance, tip):
+@given(modules, st.floats(1e-4, 0.1), st.none() | st.just((0.1, 0.0)), st.sampled_from([None, "mm", "m"]))
+def test_an_arm_in_code_is_read_back(tmp_path_factory, chain, tolerance, tip, unit):
     path = tmp_path_factory.getbasetemp() / "round.yaml"
-    arm = hb.Arm(chain, name="round", tolerance=tolerance, tip=tip, base=(1.0, 2.0))
+    arm = hb.Arm(chain, name="round", tolerance=tolerance, tip=tip, base=(1.0, 2.0), unit=unit)
     arm.save(path)
     again = hb.load(path)
+    assert again.unit == unit
     same(arm, again)
     text = path.read_text()
     again.save(path)
@@ -65,7 +70,11 @@ def test_check_accepts_a_saved_arm(hyperbit, tmp_path, file):  # noqa: F811
 
 def test_a_table_is_written_out(tmp_path):
     (tmp_path / "states.csv").write_text("x,y,th\n0,0.2,0.1\n0,0.25,-0.1\n")
-    fields = "name: measured\ntolerance: {position: 0.01}\nmodules: [{type: transforms, table: states.csv, count: 3}]\n"
+    fields = "name: measured\ntolerance: {position: 0.01}\n"
+    fields += "modules: [{modules: [{type: transforms, table: states.csv}], count: 3}]\n"
+    fields += "wiring: wired.csv\nbuses: [{name: can0, channel: can0}]\n"
+    rows = [f"{module},1,can0,1,{module}" for module in (1, 2, 3)]
+    (tmp_path / "wired.csv").write_text("\n".join(["module,actuator,bus,node,output", *rows, ""]))
     (tmp_path / "arm.yaml").write_text(fields)
     arm = hb.load(tmp_path / "arm.yaml")
     (elsewhere := tmp_path / "elsewhere").mkdir()
