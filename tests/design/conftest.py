@@ -11,7 +11,7 @@ import yaml
 from hyperbit.controller.design.explore import explore
 from hyperbit.controller.design.kept import kept
 from hyperbit.controller.design.study import Study, read_study
-from tests.commands.conftest import cache, hyperbit, own_folders, told  # noqa: F401
+from tests.commands.conftest import hyperbit, own_folders, told  # noqa: F401
 
 SMALL: dict[str, Any] = {
     "name": "small",
