@@ -12,7 +12,7 @@ from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands.arguments import AsJson, Dask, Workers
 from hyperbit.controller.commands.common import (
     CommandFailed,
-    check_output,
+    check_picture,
     console,
     drawing,
     errors,
@@ -58,7 +58,7 @@ def design(
     sharing = checked_sharing(workers, dask)
     study = read_study(file)
     if picture is not None:
-        check_output(picture)
+        check_picture(picture)
     for warning in study.warnings():
         errors.print(f"{file}: warning: {warning}", markup=False)
     count = evaluations or study.settings.evaluations
