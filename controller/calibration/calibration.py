@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.arm.saving import frame_fields
+from hyperbit.controller.calibration.enough import FEWEST, check_enough
 from hyperbit.controller.calibration.fit import CannotFit, Fit, angles, distances, fit, plausible
 from hyperbit.controller.calibration.model import Array, Model
 from hyperbit.controller.calibration.parameters import (
@@ -32,7 +33,6 @@ from hyperbit.controller.manipulator.frames import Frame
 from hyperbit.controller.studies.shares import Run, Spread, alone
 
 FOLDS = 5
-FEWEST = 10  # fewest samples
 MOST_PARAMETERS = 1000
 DIGITS = 10  # digits of numbers in the new file
 
@@ -135,6 +135,7 @@ def calibrated(
         raise CannotFit(f"{len(chosen)} numbers would be fitted, at most {MOST_PARAMETERS} can be")
     fold = folds(samples.configurations)
     model, base_model = models(arm, samples, in_file, chosen)
+    check_enough(model, samples, fold, arm.manipulator)
     masks = [np.ones(len(fold), dtype=bool), *(fold != k for k in range(FOLDS))]
     (found, base_found), *by_fold = spread(FitJob(arm, samples, in_file, chosen), masks)
     new = rounded(model.changed(found.steps))

@@ -108,7 +108,6 @@ def fit(model: Model, samples: Samples, length: float) -> Fit:
     """Returns the parameters that best fit the samples of an arm of some length, without outliers. Raises CannotFit."""
     problem = LeastSquares(model, samples, length)
     x = np.zeros(len(model.parameters))
-    check_enough(problem, x)
     every = np.ones(len(samples.tips), dtype=bool)
     noise, determined = problem.scales(problem.residuals(x), robust=True, determined=0.0), 0.0
     for _ in range(ROUNDS):  # the first estimate is far too great: it contains the errors of the file
@@ -143,18 +142,6 @@ def plausible(model: Model, samples: Samples, length: float, found: Fit) -> NDAr
     """Returns a mask (n,) of the samples that a fit to other samples predicts within its noise."""
     problem = LeastSquares(model, samples, length)
     return problem.within(found.steps / problem.priors, found.noise)
-
-
-def check_enough(problem: LeastSquares, x: Array) -> None:
-    """Raises CannotFit unless there are two measured values for each parameter that they depend on."""
-    jacobian = problem.jacobian(x)
-    determined = int((np.abs(jacobian) > 1e-9 * np.abs(jacobian).max()).any(axis=(0, 1)).sum())
-    samples, columns = jacobian.shape[:2]
-    if samples * columns < 2 * determined:
-        raise CannotFit(
-            f"{samples} samples of {columns} values each are too few for the {determined} numbers that they depend on;"
-            f" at least {-(-2 * determined // columns)} are needed"
-        )
 
 
 def distances(model: Model, samples: Samples, steps: Array) -> Array:

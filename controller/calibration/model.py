@@ -1,6 +1,7 @@
 """A model of an arm: its tips as a function of the numbers of its file, with derivatives."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -60,6 +61,12 @@ class Model:
         Raises ValueError if there is no such arm: a truss does not close, or a platform has no assembly.
         """
         return self._chain(samples, self._frames(self.changed(steps)))[-1]
+
+    def computed(self, configurations: NDArray[np.int64], *, oriented: bool) -> Samples:
+        """Returns configurations (n, B) as samples with the tips that the description gives them."""
+        still = np.tile(np.eye(4), (len(configurations), 1, 1))
+        samples = Samples(configurations, still, oriented, np.arange(len(configurations)))
+        return replace(samples, tips=self.tips(samples, np.zeros(len(self.parameters))))
 
     def residuals(self, samples: Samples, steps: Array) -> Array:
         """Returns the residuals (n, C), computed minus measured: coordinates, then rotations if they were measured.

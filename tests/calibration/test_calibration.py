@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -130,13 +131,25 @@ def test_an_arm_as_in_its_file_is_not_called_better(tmp_path):
     ("count", "each", "message"),
     [
         (9, False, "9 samples, at least 10 are needed"),
-        (20, True, "20 samples of 3 values each are too few for the 38 numbers that they depend on; at least 26"),
+        (20, True, "20 samples of 3 values each are too few for the 38 numbers that they depend on: .*; at least 33 "),
     ],
 )
 def test_too_few_samples(tmp_path, count, each, message):
     arm, rng = arm_of(tmp_path, TRUSSES), np.random.default_rng(8)
     with pytest.raises(CannotFit, match=message):
         calibrated(arm, measured(arm, erring(arm, rng), rng, count), each=each)
+
+
+@pytest.mark.parametrize(
+    ("name", "each", "oriented"), [("trusses", True, False), ("joints", False, False), ("series", True, True)]
+)
+def test_the_number_that_is_asked_for_suffices(tmp_path, name, each, oriented):
+    arm, rng = arm_of(tmp_path, ARMS[name]), np.random.default_rng(3)
+    real = erring(arm, rng, each=each)
+    with pytest.raises(CannotFit) as caught:
+        calibrated(arm, measured(arm, real, rng, 10, oriented=oriented), each=each)
+    asked = int(re.search(r"at least (\d+) samples", str(caught.value))[1])
+    assert len(calibrated(arm, measured(arm, real, rng, asked, oriented=oriented), each=each).changes) > 0
 
 
 @pytest.mark.usefixtures("two_folds")

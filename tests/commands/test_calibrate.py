@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +12,11 @@ import pytest
 import yaml
 
 from hyperbit.controller.arm.arm import load
+from hyperbit.controller.commands.connection import connected
 from hyperbit.controller.manipulator import frames
-from hyperbit.controller.manipulator.notation import format_configuration
+from hyperbit.controller.manipulator.notation import format_configuration, parse_configuration
 from tests.calibration.making import ARMS, arm_of, erring, measured
+from tests.commands.conftest import ARM
 
 pytestmark = pytest.mark.timeout(600)  # a calibration is twelve fits: seconds alone, minutes beside other programs
 SPATIAL = "configuration,x,y,z,qx,qy,qz,qw"
@@ -62,7 +66,8 @@ def test_existing_files_are_not_overwritten(hyperbit, files, tmp_path):
     code, out, _ = hyperbit("calibrate", arm, samples, "--out", arm, "--force")
     assert (code, Path(arm).read_text() != before) == (0, True)
     assert all(words in out for words in ("80 samples", "held out", "modules[1].lengths[2]", "base.position[1]"))
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["arm.yaml", "samples.csv"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["arm.yaml", "arm.yaml.old", "samples.csv"]
+    assert Path(f"{arm}.old").read_text() == before
     newer = tmp_path / "newer.yaml"
     code, out, err = hyperbit("calibrate", arm, samples, "--out", str(newer), "--json")
     assert (code, json.loads(out)["better"], json.loads(out)["out"]) == (1, False, None)
@@ -92,10 +97,72 @@ def test_the_base_or_a_part_alone_is_fitted(hyperbit, files, tmp_path):
     assert "modules[1].modules[3].width" in out
     assert "modules[1].modules[1]" not in out
     before, after = (yaml.safe_load(Path(name).read_text())["modules"][0] for name in (arm, new))
-    assert (after["type"], after["count"]) == ("group", 3)
+    assert (after.get("type", "group"), after["count"]) == ("group", 3)
     assert [before["modules"][k]["type"] == after["modules"][k]["type"] for k in range(3)] == [True] * 3
     assert after["modules"][0]["cylinders"] == before["modules"][0]["cylinders"]
     code, _, err = hyperbit("calibrate", arm, samples, "--fit", "links")
     assert (code, "'links' has no numbers to fit; parts are base, modules[1].modules[1]" in err) == (2, True)
     code, _, err = hyperbit("calibrate", arm, samples, "--base-only", "--fit", "tip")
     assert (code, "it fits the base alone: leave --fit out" in err) == (2, True)
+
+
+@pytest.mark.parametrize("files", ["trusses"], indirect=True)
+def test_comments_order_and_other_numbers_of_the_file_stay(hyperbit, files, tmp_path):
+    arm, samples = files
+    text = "# the hall's arm\nname: a\ntolerance: {position: 0.002}  # of the drawing\n\nmodules:\n"
+    text += "  - type: vgt  # trusses\n    count: 5\n    lengths: [0.20, 0.25]  # short, long\n    width: 0.2\n"
+    Path(arm).write_text(text)
+    new = tmp_path / "new.yaml"
+    assert hyperbit("calibrate", arm, samples, "--out", str(new))[0] == 0
+    written = new.read_text()
+    kept = re.sub(r"(lengths: \[)[^,]+, [^]]+|(width: ).*", r"\1\2N", written.partition("\n")[2])
+    base = re.search(r"^base: .*$\n?", kept, re.MULTILINE)
+    assert kept.replace(base[0], "") == re.sub(r"(lengths: \[)[^,]+, [^]]+|(width: ).*", r"\1\2N", text)
+
+
+def test_the_next_configurations_are_printed(hyperbit, files, tmp_path):
+    arm, samples = files
+    code, out, _ = hyperbit("calibrate", arm, str(tmp_path / "none.csv"), "--propose", "3")
+    manipulator, rows = load(Path(arm)).manipulator, out.splitlines()
+    assert (code, len({tuple(parse_configuration(manipulator, row)) for row in rows})) == (0, 3)
+    assert hyperbit("calibrate", arm, samples, "--propose", "3")[1].splitlines() != rows
+
+
+@pytest.fixture
+def tracker(endpoint):
+    """Publishes the tip of an arm that is not as in its file, as a tracker does."""
+    real = erring(load(ARM), np.random.default_rng(0), size=0.002)
+    with ExitStack() as stack:
+        client = stack.enter_context(connected("planar16", endpoint, None))
+
+        def publish(state):
+            if state["configuration"] is not None:
+                seen = real.computed(np.array([[int(c) for c in state["configuration"]]]), oriented=False)
+                client.put("measured_tip", json.dumps({"position": seen.tips[0, :2, 3].tolist()}).encode())
+
+        stack.enter_context(client.subscribe("state", publish))
+        yield
+
+
+@pytest.mark.usefixtures("tracker", "own_folders")
+def test_the_arm_is_driven_and_calibrated_by_its_tracker(hyperbit, endpoint, tmp_path):
+    samples, new = tmp_path / "samples.csv", tmp_path / "new.yaml"
+    words = "calibrate", str(ARM), str(samples), "--measure", "measured_tip", "--yes", "--connect", endpoint
+    code, out, err = hyperbit(*words, "--most", "6")
+    assert (code, samples.exists()) == (2, True), err
+    assert samples.read_text().count("\n") == 7
+    assert "6 samples, at least 10 are needed" in err
+    code, out, err = hyperbit(*words, "--most", "12", "--out", str(new), "--json")
+    assert (code, samples.read_text().count("\n")) == (0, 13), err
+    told = json.loads(out[out.index("{") :])
+    assert told["held_out"]["position"]["rms"] < 0.01 * told["before"]["position"]["rms"]
+    assert new.read_text().count("#") == ARM.read_text().count("#") + 1
+
+
+def test_a_source_that_is_none_is_named(hyperbit, endpoint, tmp_path):
+    words = "calibrate", str(ARM), str(tmp_path / "s.csv"), "--yes", "--connect", endpoint
+    code, _, err = hyperbit(*words, "--measure", "laser")
+    assert (code, "prompt, measured_tip or a CSV file of tips is needed" in err) == (2, True)
+    (tmp_path / "s.csv").write_text("actuators,x,y\n")
+    code, _, err = hyperbit(*words, "--measure", "prompt")
+    assert (code, "the columns configuration,x,y or configuration,x,y,th are needed" in err) == (2, True)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
-from hyperbit.controller.arm.arm import load
-from hyperbit.controller.arm.saving import write_arm
-from hyperbit.controller.armfile.documents import read_yaml
+from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.armfile.documents import read_text
 from hyperbit.controller.armfile.places import counted
+from hyperbit.controller.armfile.rewriting import rewritten
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands.arguments import ArmFile, AsJson, Dask, Workers
+from hyperbit.controller.calibration.model import Model
+from hyperbit.controller.commands import ENDPOINT
+from hyperbit.controller.commands.arguments import ArmFile, AsJson, Connect, Dask, Workers, ZenohFile
 from hyperbit.controller.commands.common import (
     CommandFailed,
     check_output,
@@ -27,6 +31,13 @@ from hyperbit.controller.commands.sharing import checked_sharing, open_workers, 
 if TYPE_CHECKING:
     from hyperbit.controller.calibration.calibration import Calibration
 
+MEASURE = (
+    "Measure first: drive the arm to the configurations that tell most, and add tips to SAMPLES.csv until the held-out"
+    " error no longer falls. SOURCE of a tip: prompt; measured_tip, from a tracker; or a CSV file that gets a row for"
+    " each."
+)
+MOST = "With --measure: most samples."
+PROPOSE = "Only print the next N configurations to measure, after those in SAMPLES.csv."
 RESIDUALS = ("before", "base_only", "after", "held_out", "held_out_base_only")  # of a calibration
 
 
@@ -48,23 +59,31 @@ def calibrate(
         typer.Option(metavar="PART", help="Fit base and this part: tip, modules[2] or modules[1].link; repeatable."),
     ] = None,
     base_only: Annotated[bool, typer.Option("--base-only", help="Fit the base only.")] = False,
+    measure: Annotated[str | None, typer.Option(metavar="SOURCE", help=MEASURE)] = None,
+    most: Annotated[int, typer.Option(min=1, max=5000, help=MOST)] = 200,
+    propose: Annotated[int | None, typer.Option(metavar="N", min=1, max=5000, help=PROPOSE)] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="With --measure: do not ask before the arm moves.")] = False,
     workers: Workers = 1,
     dask: Dask = None,
+    connect: Connect = ENDPOINT,
+    zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Fit the modules and the base of an arm's file to measured tips; print the residuals before and after.
 
-    `--workers` and `--dask` share the fits: one to all samples, and one without each fold. The numbers stay the same.
+    With `--measure` the samples are measured first, in configurations that tell most. `--workers` and `--dask` share
+    the fits: one to all samples, and one without each fold. The numbers stay the same.
     """
     from hyperbit.controller.calibration.calibration import calibrated
     from hyperbit.controller.calibration.fit import CannotFit
     from hyperbit.controller.calibration.samples import read_samples
+    from hyperbit.controller.commands.configure.calibrate_measure import measure as drive
+    from hyperbit.controller.commands.configure.calibrate_measure import proposed
 
     if base_only and fit:
         raise InputFaults(Path("--base-only"), ["it fits the base alone: leave --fit out"])
-    sharing = checked_sharing(workers, dask)
+    sharing, parts = checked_sharing(workers, dask), [] if base_only else fit
     arm = load(file)
-    measured = read_samples(samples, arm.manipulator)
     if out is not None and out.exists() and not force:
         raise InputFaults(out, ["the file exists; name another file, or add --force"])
     if out is not None and arm.settings.wiring is not None and out.parent.resolve() != file.parent.resolve():
@@ -72,13 +91,20 @@ def calibrate(
     if out is not None:
         check_output(out)
     try:
+        if propose is not None:
+            known = read_samples(samples, arm.manipulator) if samples.exists() else None
+            typer.echo("\n".join(proposed(arm, known, propose, each=each, parts=parts)))
+            return
         with open_workers(sharing) as client, progress_bar("fits") as progress:
             spread = spread_over(client, progress, "fits", lambda mask: 1)
-            found = calibrated(arm, measured, each=each, parts=[] if base_only else fit, spread=spread)
+            if measure is not None:
+                drive(arm, samples, measure, most, connect, zenoh_file, each=each, parts=parts, yes=yes, spread=spread)
+            measured = read_samples(samples, arm.manipulator)
+            found = calibrated(arm, measured, each=each, parts=parts, spread=spread)
     except CannotFit as error:
         raise InputFaults(samples, [str(error)]) from None
     if out is not None and found.better:
-        write(out, file, samples, found)
+        write(out, file, samples, found, arm)
     if as_json:
         print_json({**payload(found), "out": str(out) if out and found.better else None})
     else:
@@ -90,18 +116,38 @@ def calibrate(
         )
 
 
-def write(out: Path, file: Path, samples: Path, found: Calibration) -> None:
-    """Writes the fitted arm's file, after reading a draft of it back."""
+def write(out: Path, file: Path, samples: Path, found: Calibration, arm: Arm) -> None:
+    """Writes the fitted arm's file with the comments and the order of the old one, after reading a draft of it back.
+
+    A file that is there stays as NAME.old.
+    """
     before, after = found.before.position.rms, found.after.position.rms
-    comment = f"{file.name}, fitted to the {found.samples} tips in {samples.name}: rms {before:.3g}, now {after:.3g}."
+    text = f"# {file.name}, fitted to the {found.samples} tips in {samples.name}: rms {before:.3g}, now {after:.3g}.\n"
+    text += rewritten(read_text(file), found.description, {change.parameter.where for change in found.changes})
+    draft = out.with_name(f".{out.name}.{os.getpid()}")
     try:
-        write_arm(out, {**read_yaml(file), **found.description}, comment)
+        draft.write_text(text, encoding="utf-8")
+        check_tips(load(draft), arm, found)
+        if out.exists():
+            out.replace(out.with_name(f"{out.name}.old"))
+        draft.replace(out)
     except InputFaults as error:
         raise CommandFailed(
             f"the fitted numbers describe no valid arm, nothing is written: {error.faults[0]}"
         ) from None
     except OSError as error:
         raise CommandFailed(f"{out} cannot be written: {error.strerror}") from None
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def check_tips(new: Arm, old: Arm, found: Calibration) -> None:
+    """Raises CommandFailed unless the tips of a new file are those that were fitted."""
+    random = np.random.default_rng(0)
+    some = np.column_stack([random.integers(0, count, 20) for count in old.manipulator.states])
+    fitted = Model(found.description, ()).computed(some, oriented=False).tips
+    if not np.allclose(new.manipulator.tips(some), fitted, rtol=0, atol=1e-7 * old.manipulator.length):
+        raise CommandFailed("the new numbers do not fit into the layout of the arm's file; nothing is written")
 
 
 def payload(found: Calibration) -> dict[str, Any]:
