@@ -41,18 +41,27 @@ def csv_rows(path: Path, most: int = MOST_STREAMED) -> Iterator[CsvRow]:
         InputFaults: the file cannot be read, a column occurs twice, or a row has more fields than there are columns.
     """
     try:
-        # spreadsheets write a byte order mark
-        with io.TextIOWrapper(open_file(path, most), newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(bounded_lines(file), skipinitialspace=True, strict=True)
-            columns = [column.strip() for column in next(reader, [])]
-            check_columns(path, columns)
-            yield CsvRow(1, columns)
-            for fields in reader:
-                if len(fields) > len(columns):
-                    fault = f"line {reader.line_num}: {len(columns)} fields are needed, got {len(fields)}; {COMMAS}"
-                    raise InputFaults(path, [fault])
-                if fields:
-                    yield CsvRow(reader.line_num, fields + [""] * (len(columns) - len(fields)))
+        file = open_file(path, most)
+    except OSError as error:
+        raise InputFaults(path, [f"cannot be read: {error.strerror}"]) from None
+    # spreadsheets write a byte order mark
+    with io.TextIOWrapper(file, newline="", encoding="utf-8-sig") as text:
+        yield from rows_of(path, text)
+
+
+def rows_of(path: Path, text: TextIO) -> Iterator[CsvRow]:
+    """Yields the rows of the text of a CSV file; see `csv_rows`."""
+    try:
+        reader = csv.reader(bounded_lines(text), skipinitialspace=True, strict=True)
+        columns = [column.strip() for column in next(reader, [])]
+        check_columns(path, columns)
+        yield CsvRow(1, columns)
+        for fields in reader:
+            if len(fields) > len(columns):
+                fault = f"line {reader.line_num}: {len(columns)} fields are needed, got {len(fields)}; {COMMAS}"
+                raise InputFaults(path, [fault])
+            if fields:
+                yield CsvRow(reader.line_num, fields + [""] * (len(columns) - len(fields)))
     except InputFaults:
         raise
     except (OSError, ValueError, csv.Error) as error:

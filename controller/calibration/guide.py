@@ -113,4 +113,4 @@ def frame_of_tip(position: Sequence[float], orientation: float | Sequence[float]
     x, y, *z = position
     if not z:
         return frames.planar(x, y, orientation if isinstance(orientation, float) else 0.0)
-    return frames.spatial((x, y, z[0]), (0, 0, 0, 1) if orientation is None else orientation)  # type: ignore[arg-type]
+    return frames.spatial((x, y, z[0]), (0, 0, 0, 1) if orientation is None else orientation)

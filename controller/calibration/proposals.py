@@ -110,18 +110,19 @@ class Design:
 
         In some of those that are drawn, neighbouring modules have equal states, so that the arm curls up.
         """
-        drawn = np.column_stack([random.integers(0, len(states), DRAWN) for states in self._states])
+        counts = np.array([len(states) for states in self._states])
+        drawn = random.integers(0, counts, (DRAWN, len(counts)))
         change = random.random(drawn.shape) < random.choice(CHANGES, (DRAWN, 1))
         begins = np.maximum.accumulate(np.where(change, np.arange(drawn.shape[1]), 0), axis=1)
-        drawn = np.take_along_axis(drawn, begins, axis=1) % [len(states) for states in self._states]
+        drawn = np.take_along_axis(drawn, begins, axis=1) % counts
         drawn = np.column_stack([states[drawn[:, i]] for i, states in enumerate(self._states)])
         drawn = np.unique(drawn[~self._clearance.blocked(drawn)], axis=0)
         if not len(drawn):
             raise ValueError("all configurations that were drawn collide: are the obstacles right?")
         tips = self._arm.manipulator.tips(drawn)[:, : self._arm.manipulator.dimension, 3]
         cells = np.floor(tips / (self._arm.manipulator.length / CELLS)).astype(np.int64)
-        _, cell, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-        chances = 1.0 / counts[cell.ravel()]
+        _, cell, tips_in_cell = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+        chances: Array = 1.0 / tips_in_cell[cell.ravel()]
         chosen = random.choice(len(drawn), min(POOL, len(drawn)), replace=False, p=chances / chances.sum())
         return np.asarray(drawn[chosen])
 

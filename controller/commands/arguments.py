@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from hyperbit.controller.commands import CONNECT
 from hyperbit.controller.commands.completion import complete_arms, complete_changes, complete_files
 
 ArmFile = Annotated[
@@ -21,7 +22,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Picture = Annotated[Path, typer.Option(help="File for the picture.")]
 
 # Of the network
-Connect = Annotated[str, typer.Option(help="Zenoh endpoint of the daemon.")]
+Connect = Annotated[str, typer.Option(envvar=CONNECT, help="Zenoh endpoint of the daemon.")]
 Listen = Annotated[str, typer.Option(help="Zenoh endpoint to accept connections at.")]
 ZenohFile = Annotated[Path | None, typer.Option("--zenoh", help="Zenoh configuration file, instead of an endpoint.")]
 

@@ -10,18 +10,17 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
+import shlex
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from msgspec import Meta, Struct
 
-from hyperbit.controller.armfile.choices import LARGEST, LARGEST_ANGLE, number
 from hyperbit.controller.armfile.documents import read_yaml
-from hyperbit.controller.armfile.strict import UNIT, InputFaults, check
+from hyperbit.controller.armfile.strict import InputFaults, check
 from hyperbit.controller.refusals.reasons import advice
 
 if TYPE_CHECKING:
@@ -60,9 +59,15 @@ class Named(Struct, frozen=True):
 
 
 def refusal(answer: Mapping[str, Any], arm: str) -> CommandFailed:
-    """Returns the error for a refusing answer or a failed result of an arm's daemon."""
+    """Returns the error for a refusing answer or a failed result of an arm's daemon.
+
+    `arm`: how a further command line names the arm, see connection.named.
+    """
     status, message, code = answer.get("status", "refused"), answer.get("message", ""), answer.get("code", "unknown")
-    return CommandFailed(f"{status} (code {code}): {message}", advice(answer.get("reason"), arm))
+    step, given = advice(answer.get("reason"), arm), shlex.split(arm)[0]
+    if given.endswith((".yaml", ".yml")):
+        step = step.replace("ARM.yaml", shlex.quote(given))
+    return CommandFailed(f"{status} (code {code}): {message}", step)
 
 
 def print_json(value: object) -> None:
@@ -148,27 +153,6 @@ def arm_name(arm: str) -> str:
     if (named := check(value, Named, faults)) is None:
         raise InputFaults(path, faults)
     return named.name
-
-
-def parse_goal(fields: Sequence[str], dimension: int, where: str) -> tuple[list[float], float | list[float] | None]:
-    """Parses the fields of a goal, X,Y[,TH] or X,Y,Z[,QX,QY,QZ,QW], of an option or line that messages name.
-
-    Returns:
-        Position, shape (dimension,), and orientation: an angle [rad], a unit quaternion x, y, z, w, or None.
-    """
-    if len(fields) not in (dimension, 3 if dimension == 2 else 7):
-        form = "X,Y or X,Y,TH is needed, 2 or 3" if dimension == 2 else "X,Y,Z or X,Y,Z,QX,QY,QZ,QW is needed, 3 or 7"
-        raise InputFaults(Path(where), [f"{','.join(fields)!r} is no goal; {form} numbers"])
-    most = [LARGEST] * dimension + [LARGEST_ANGLE] * (len(fields) - dimension)
-    try:
-        goal = list(map(number, fields, most))
-    except ValueError as error:
-        raise InputFaults(Path(where), [str(error)]) from None
-    position, turned = goal[:dimension], goal[dimension:]
-    if len(turned) == 4 and abs((length := math.hypot(*turned)) - 1.0) > UNIT:
-        words = f"{','.join(fields)!r}: a quaternion of length 1 is needed, got one of length {length:.4g}"
-        raise InputFaults(Path(where), [words])
-    return position, None if not turned else turned[0] if dimension == 2 else turned
 
 
 def configuration(arm: Arm, text: str, where: str) -> Configuration:

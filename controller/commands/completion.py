@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from pathlib import Path
 from typing import Any
 
-from hyperbit.controller.commands import ENDPOINT
+from hyperbit.controller.commands import CONNECT, ENDPOINT
 
 TIMEOUT = 1.0  # [s] for the answer of a daemon
 
@@ -66,4 +67,4 @@ def actuators_of(ctx: Any) -> list[str]:
 
 def network_of(ctx: Any) -> tuple[str, Path | None]:
     """Returns endpoint and Zenoh file of a command line."""
-    return ctx.params.get("connect") or ENDPOINT, ctx.params.get("zenoh_file")
+    return ctx.params.get("connect") or os.environ.get(CONNECT) or ENDPOINT, ctx.params.get("zenoh_file")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import shlex
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands import CONNECT, ENDPOINT
 from hyperbit.controller.commands.common import CommandFailed, arm_name, print_json, refusal
 from hyperbit.controller.network.endpoints import START
 
@@ -32,7 +35,8 @@ def zenoh_config(
     try:
         return session.from_file(file) if file else session.configuration(mode, listen=listen, connect=connect)
     except ValueError as error:
-        raise InputFaults(Path("--zenoh" if file else "endpoint"), [str(error)]) from None
+        where = CONNECT if connect == os.environ.get(CONNECT) else "endpoint"
+        raise InputFaults(Path("--zenoh" if file else where), [str(error)]) from None
 
 
 def open_session(connect: str, zenoh_file: Path | None) -> zenoh.Session:
@@ -53,6 +57,16 @@ def open_zenoh(config: zenoh.Config) -> zenoh.Session:
         return reach.open_session(config)
     except reach.NoSession as error:
         raise CommandFailed(str(error), error.step) from None
+
+
+def named(arm: str, connect: str, zenoh_file: Path | None) -> str:
+    """Returns how a further command line names an arm and the way to its daemon."""
+    words = [arm]
+    if zenoh_file is not None:
+        words += ["--zenoh", str(zenoh_file)]
+    elif connect != (os.environ.get(CONNECT) or ENDPOINT):
+        words += ["--connect", connect]
+    return shlex.join(words)
 
 
 @contextlib.contextmanager
@@ -96,7 +110,7 @@ def step_after(arm: str, names: list[str]) -> str:
 
 
 def ask(client: Client, arm: str, key: str, payload: dict[str, Any], as_json: bool) -> None:
-    """Sends a request and prints the daemon's answer."""
+    """Sends a request and prints the daemon's answer. `arm`: see `named`."""
     answer = client.request(key, payload)
     if as_json:
         print_json(answer)

@@ -175,7 +175,7 @@ GROUPS = {
     "Study arms": {
         "plan": CommandEntry(
             "study.plan",
-            "Search configurations for goals, without hardware.",
+            "Plan a goal's file as `send` would carry it out, or search configurations for goals. Nothing moves.",
             "hyperbit plan deploy/planar16.yaml --goal 0.55,2.9,0.3",
         ),
         "design": CommandEntry(

@@ -16,7 +16,7 @@ from hyperbit.controller.library.errors import (
     PathError,
     StudyError,
 )
-from hyperbit.controller.library.goals import Goal
+from hyperbit.controller.library.goals import Goal, read_goals
 from hyperbit.controller.library.loading import load
 from hyperbit.controller.library.many import map
 from hyperbit.controller.library.modules import Module, group, platform, prismatic, revolute, transforms, vgt
@@ -67,6 +67,7 @@ __all__ = [
     "platform",
     "plot",
     "prismatic",
+    "read_goals",
     "revolute",
     "transforms",
     "vgt",

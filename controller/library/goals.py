@@ -1,17 +1,23 @@
 """Goals: positions and poses of the tip in the world."""
 
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hyperbit.controller.armfile.choices import LARGEST, LARGEST_ANGLE, degrees_hint
-from hyperbit.controller.armfile.strict import UNIT
+from hyperbit.controller.armfile.goal_files import read_goal
+from hyperbit.controller.armfile.strict import UNIT, InputFaults
 from hyperbit.controller.library.errors import GoalError
 from hyperbit.controller.manipulator import frames
+from hyperbit.controller.motion.decoding.goal import parse
+from hyperbit.controller.refusals.refusal import Refusal, nth_waypoint
 
 Array = NDArray[np.float64]
 Number = float | np.floating[Any] | np.integer[Any]
@@ -71,6 +77,25 @@ class Goal:
         if len(position) == 2:
             return frames.planar(float(position[0]), float(position[1]), float(np.asarray(self.orientation)))
         return frames.spatial(position, np.asarray(self.orientation))
+
+
+def read_goals(file: str | PathLike[str]) -> list[Goal]:
+    """Returns the goals of a file that `hyperbit send` takes: CSV, JSON or YAML. Its times do not matter here.
+
+    Raises:
+        GoalError: the file cannot be read, or a waypoint is a configuration. The message has the line or the waypoint.
+    """
+    try:
+        message = parse(json.dumps(read_goal(Path(file))).encode())
+    except (InputFaults, Refusal) as error:
+        raise GoalError(str(error)) from None
+    goals, tolerance = list[Goal](), message.tolerance
+    for k, waypoint in enumerate(message.waypoints):
+        if waypoint.position is None:
+            raise GoalError(f"{file}: {nth_waypoint(k)}: a configuration is no goal of the library; give its position")
+        turn = None if waypoint.orientation is None else tolerance.orientation
+        goals.append(Goal(waypoint.position, waypoint.orientation, tolerance.position, turn))
+    return goals
 
 
 def numbers(values: ArrayLike, name: str) -> Array:

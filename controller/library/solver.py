@@ -250,7 +250,8 @@ class Solver:
         self, searcher: search.Solver, asked: ToleratedGoal, before: Configuration, method: Method, allowed: SearchTime
     ) -> Solution:
         target = searcher.target(asked.target, asked.tolerance, asked.angle_tolerance)
-        return self._whole(searcher.solve(target, before, method, timeout=allowed))
+        found = searcher.solve(target, before, method, timeout=allowed)
+        return self._whole(searcher.explained(found, target, before, allowed))
 
     def _with_tolerances(self, goal: Goal | ArrayLike) -> ToleratedGoal:
         return with_tolerances(goal, self.arm.dimension, self.arm.tolerance, self.arm.angle_tolerance)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.refusals.reasons import Reason
-from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.refusals.refusal import Refusal, leg
 
 if TYPE_CHECKING:  # its kernels take a second to import; clients that only decode messages need not wait
     from hyperbit.controller.motion.stages.pacing import Pace
@@ -154,7 +154,7 @@ def parts_of_lines(lengths: Array, durations: Array, path_tolerance: float, pace
         k = int(np.argmax(durations < needed - 1e-9))
         raise Refusal(
             Reason.LINE_TOO_FAST,
-            where=f"waypoints[{k}] to waypoints[{k + 1}]",
+            where=leg(k),
             seconds=f"{durations[k]:.3g}",
             length=f"{lengths[k]:.3g}",
             tolerance=path_tolerance,

@@ -20,7 +20,10 @@ PROTOCOLS = (*STREAMS, "quic", "udp")
 LOCAL = ("unixsock-stream", "unixpipe", "vsock", "serial")  # protocols without host and port
 HOST_PORT = re.compile(r"(\[[0-9A-Za-z:.%]+\]|[^\s:/\[\]]+):([0-9]{1,5})")
 GREATEST_PORT = 65535
-START = "start it by: hyperbit run ARM.yaml (--simulate without hardware), or name its endpoint by --connect"
+START = (
+    "start it by: hyperbit run ARM.yaml (--simulate without hardware),"
+    " or name its endpoint by --connect or HYPERBIT_CONNECT"
+)
 LISTENING = "0A"  # state of a socket in /proc/net/tcp
 ATTEMPT, PAUSE = 1.0, 0.5  # [s] for one connection, and between two
 

@@ -66,6 +66,11 @@ class BodyClearance:
             return f"module {module + 1} is in {self.obstacles.names[obstacle]}"
         return f"modules {other + 1} and {module + 1} touch"
 
+    def cause(self, configuration: Configuration) -> str:
+        """Returns the obstacle of the first collision by its name, or "other modules" if the arm touches itself."""
+        obstacle = int(self.first_collisions(np.array([configuration], dtype=np.int64))[0, 1])
+        return self.obstacles.names[obstacle] if obstacle >= 0 else "other modules"
+
     def buried(self, point: Array, tolerance: float) -> bool:
         """Returns whether every tip within a distance of a point (3,) in the world is surely inside an obstacle.
 
@@ -82,6 +87,13 @@ class BodyClearance:
             if away.min() > ROUNDING * self.manipulator.length / 2:
                 return False
         return True
+
+    def holding(self, point: Array) -> str | None:
+        """Returns the obstacle in which a point (3,) of the world is deepest, by its name; None if it is in none."""
+        if len(self.obstacles) == 0:
+            return None
+        depths = self.obstacles.depths(point)[0]
+        return self.obstacles.names[int(depths.argmin())] if depths.min() <= 0 else None
 
     def first_collisions(self, configurations: Index) -> Index:
         """Returns the first collision of each configuration (n, B), shape (n, 3).

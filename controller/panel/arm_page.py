@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from hyperbit.controller.armfile.documents import parse_payload
+from hyperbit.controller.armfile.goal_files import parse_goal_file
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.network.client import Unanswered
 from hyperbit.controller.panel.arms.arm_view import ArmView
@@ -155,9 +155,9 @@ class ArmPage:
                 return answer
             case PlanRequest(goal=goal):
                 return await self._plan(goal)
-            case GoalFileRequest(text=text):
-                words = text, Path("file"), "goal", "waypoints", MOST_YAML
-                read = await asyncio.get_running_loop().run_in_executor(self._threads.plans, parse_payload, *words)
+            case GoalFileRequest(text=text, name=name):
+                words = text, Path(name), MOST_YAML
+                read = await asyncio.get_running_loop().run_in_executor(self._threads.plans, parse_goal_file, *words)
                 return {**await self._plan(read), "file": read}
             case AgainRequest(id=name):
                 sent = self._view.history.goal_of(name)

@@ -78,9 +78,10 @@ class GoalRequest(NumberedRequest, tag="go"):
 
 
 class GoalFileRequest(NumberedRequest, tag="file"):
-    """Read a goal's file, YAML or JSON, and plan it."""
+    """Read a goal's file, CSV, JSON or YAML by the ending of its name, and plan it."""
 
     text: Annotated[str, Meta(max_length=1_000_000)]
+    name: Annotated[str, Meta(max_length=255)] = "file"
 
 
 class AgainRequest(NumberedRequest, tag="again"):

@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from hyperbit.controller.armfile.units import unit_mark, unit_name
 from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.obstacles.obstacles import Obstacles
 from hyperbit.controller.pictures.orientation_plots import ORANGE, draw_angles, draw_rotations
-from hyperbit.controller.pictures.plots import DARKEST, LIGHTEST
+from hyperbit.controller.pictures.plots import DARKEST, LIGHTEST, draw_obstacles
 from hyperbit.controller.workspace.densities import Densities
 from hyperbit.controller.workspace.locked_reach import LockedReach
 from hyperbit.controller.workspace.orientations import Orientations
@@ -65,11 +66,13 @@ def draw_workspace(
     orientations: Orientations | None = None,
     title: str = "",
     unit: str | None = None,
+    among: tuple[Obstacles, Array] | None = None,
 ) -> Figure:
     """Returns the picture of a workspace: one row for a planar arm, a row of slices for each field of a spatial arm.
 
     `point` is a position in the world to mark, through which slices go; None: the densest pixel of the first field.
     `orientations` are those at the point, if they are to be drawn. `unit` is that of length; None: the file's.
+    `among`: obstacles, and positions (n, 2) in the world that they take away, drawn for planar arms only.
     """
     from matplotlib.figure import Figure
 
@@ -83,6 +86,8 @@ def draw_workspace(
         for k, field in enumerate(fields):
             axes = parts[0].add_subplot(1, columns, k + 1)
             draw_plane(axes, manipulator, field, point, unit)
+            if among is not None:
+                draw_lost(axes, *among)
         add_key(parts[0], parts[0].axes, fields)
         if orientations is not None:
             draw_angles(parts[0].add_subplot(1, columns, columns, projection="polar"), orientations)
@@ -121,6 +126,13 @@ def draw_plane(axes: Any, manipulator: Manipulator, field: Field, point: ArrayLi
     low, high = corners.min(axis=0), corners.max(axis=0)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", title=field.title)
     axes.set(xlabel=f"x [{unit_name(unit)}]", ylabel=f"y [{unit_name(unit)}]")
+
+
+def draw_lost(axes: Any, obstacles: Obstacles, positions: Array) -> None:
+    """Draws obstacles, and positions (n, 2) in the world that they take away."""
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    draw_obstacles(axes, obstacles, np.array([left, bottom]), np.array([right, top]))
+    axes.plot(*positions.T, ".", color=ORANGE, markersize=4, label="lost to obstacles")
 
 
 def draw_slices(figure: Any, field: Field, centre: Array, unit: str | None, *, cross: bool) -> None:
@@ -199,4 +211,6 @@ def add_key(figure: Any, every: list[Any], fields: list[Field]) -> None:
     if any(field.lost is not None and field.lost.any() for field in fields):
         handles["lost with some choice"] = Patch(color=ORANGE)
     if handles:
-        figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=len(handles), frameon=False)
+        figure.legend(
+            handles.values(), handles.keys(), loc="outside lower center", ncols=min(len(handles), 3), frameon=False
+        )

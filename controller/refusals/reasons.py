@@ -65,7 +65,7 @@ class Reason(enum.Enum):
 
     TIMES_NOT_INCREASING = (
         "times-not-increasing",
-        "{where}.t: {t} does not come after {earlier}",
+        "{where}: {t} does not come after {earlier}",
         "give each waypoint a time `t` in seconds, later than the one before",
     )
     TIMES_TOO_CLOSE = "times-too-close", "{where}: {apart} s apart, the actuators need {needed} s"
@@ -152,6 +152,12 @@ class Reason(enum.Enum):
         "send another configuration, or unlock the actuator: hyperbit lock {arm} ACTUATOR=free",
         GOAL_TOLERANCE_VIOLATED,
     )
+    ONLY_BY_COLLISION = (
+        "only-by-collision",
+        "{where}: ({position}) {reach}{turned}; {nearest}",
+        OBSTACLES,
+        GOAL_TOLERANCE_VIOLATED,
+    )
     GOAL_IN_OBSTACLE = "goal-in-obstacle", "{where}: {collision}", OBSTACLES, GOAL_TOLERANCE_VIOLATED
     NO_CLEAR_PATH = (
         "no-clear-path",
@@ -200,7 +206,11 @@ class Reason(enum.Enum):
         "send one request a second, then the answer says what is wrong",
     )
     UNKNOWN_GOAL = "unknown-goal", "the ledger has no goal {goal}: it was not accepted, or is not written yet"
-    LEDGER_UNREADABLE = "ledger-unreadable", "the ledger cannot be read: {why}", "see the warnings: hyperbit fleet"
+    LEDGER_UNREADABLE = (
+        "ledger-unreadable",
+        "the ledger cannot be read: {why}",
+        "see its warnings: hyperbit watch {arm}",
+    )
     UNKNOWN_POSE = "unknown-pose", "remove: there is no saved pose {name}; saved are {known}"
     TOO_MANY_POSES = "too-many-poses", "save: an arm has at most {most} saved poses", "remove one: hyperbit poses {arm}"
     POSES_UNWRITTEN = (

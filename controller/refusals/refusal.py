@@ -1,5 +1,6 @@
 """The refusal of a request: its reason, and the facts that fill the reason's sentence."""
 
+import re
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -8,6 +9,7 @@ from msgspec import Meta
 
 from hyperbit.controller.refusals.reasons import Reason
 
+WAYPOINT = re.compile(r"^(goal\.|)waypoints\[(\d+)\]\.?([^:]*)")  # the path of a field of a payload
 LONGEST_SENTENCE = 1_000  # characters; also of a fact
 
 Fact = str | int | float
@@ -80,6 +82,16 @@ def printable(sentence: str) -> str:
     return sentence if len(sentence) <= LONGEST_SENTENCE else sentence[: LONGEST_SENTENCE - 3] + "..."
 
 
+def nth_waypoint(index: int, field: str = "") -> str:
+    """Returns how messages name a waypoint, or a field of it: counted from 1, as the progress of a goal."""
+    return f"waypoint {index + 1}{field and f', {field}'}"
+
+
+def leg(index: int) -> str:
+    """Returns how messages name the way from a waypoint to the next."""
+    return f"waypoint {index + 1} to {index + 2}"
+
+
 def no_motion(mode: str, why: str) -> Refusal:
     """Returns the refusal of a motion by the mode of the arm, which a sentence explains."""
     match mode:
@@ -104,4 +116,5 @@ def no_actuator(field: str, label: str, actuators: Sequence[str]) -> Refusal:
 
 def all_faults(faults: list[str]) -> str:
     """Returns the first three faults of a payload, and the number of the others, as a fact."""
+    faults = [WAYPOINT.sub(lambda found: f"{found[1]}{nth_waypoint(int(found[2]), found[3])}", each) for each in faults]
     return "; ".join(faults[:3]) + (f" (and {len(faults) - 3} more faults)" if len(faults) > 3 else "")

@@ -119,6 +119,9 @@ class Solution:
     clear: bool = True  # whether the arm collides with nothing. If not, the search has found no clear configuration.
     dimension: int = 3  # 2 for a planar arm, 3 for a spatial arm
     effort: float | None = None  # work of the search, if it was limited by work; None: it was limited by time
+    obstacle: str | None = None  # in which a missed goal is, such as "disc 'pillar'"
+    # of a missed goal, see Solver.explained: a collision of a configuration that would reach it without obstacles
+    collision: str | None = None
 
     @property
     def position(self) -> Array:
@@ -142,8 +145,14 @@ class Solution:
 
     @property
     def reach(self) -> str:
-        """Describes a goal that is missed: "is out of reach" if that is proven, else "seems out of reach"."""
-        return "is out of reach" if self.certificate == "unreachable" else "seems out of reach"
+        """Describes a goal that is missed: "is out of reach" if that is proven, else "seems out of reach".
+
+        Also says in which obstacle the goal is, or what collides where the arm would reach it.
+        """
+        if self.obstacle is not None:
+            return f"is in {self.obstacle}"
+        missed = "is out of reach" if self.certificate == "unreachable" else "seems out of reach"
+        return missed + ("" if self.collision is None else f" without a collision, such as: {self.collision}")
 
     def proof(self) -> dict[str, str | bool | float | None]:
         """Returns the certificate as fields for JSON."""

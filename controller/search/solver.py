@@ -189,7 +189,25 @@ class Solver:
         effort = round((clock.now() - began) / EFFORT, 3) if allowed.by_work else None
         found = self.described(incumbent.configuration, target, seed)
         bound = min(incumbent.bound, found.cost) if found.within_tolerance else incumbent.bound
-        return replace(found, seconds=seconds, bound=bound, effort=effort)
+        obstacle = None
+        if not found.within_tolerance and self.clearance is not None:
+            obstacle = self.clearance.holding(target.goal[:3, 3])
+        return replace(found, seconds=seconds, bound=bound, effort=effort, obstacle=obstacle)
+
+    def explained(
+        self, missed: Solution, target: SearchTarget, previous: ArrayLike, allowed: SearchTime | None = None
+    ) -> Solution:
+        """Returns a solution of `solve` with the collision that keeps it from a missed goal, if one is found.
+
+        A configuration that reaches the goal without obstacles is searched, for TIMEOUT or as `allowed`.
+        """
+        if missed.within_tolerance or missed.obstacle or self.clearance is None or self.clearance.free:
+            return missed
+        timeout = SearchTime(TIMEOUT) if allowed is None else allowed._replace(unfound=allowed.first)
+        free = self.avoiding(None)
+        found = free.solve(replace(target, scene=None), previous, MINIMUM_SWITCH, timeout)
+        collision = self.clearance.where(found.configuration) if found.within_tolerance else None
+        return replace(missed, collision=collision)
 
     def candidates(
         self, target: SearchTarget, previous: Configuration, most: int

@@ -92,7 +92,7 @@ def test_a_plan_tells_what_is_homed_first(trouble: Trouble, driver: object) -> N
 
 def test_a_goal_that_cannot_be_planned_does_not_go(trouble: Trouble, driver: object) -> None:
     accepted = trouble.daemon.answer
-    trouble.daemon.answer = {"accepted": False, "code": -2, "message": "waypoints[0].position: out of reach"}
+    trouble.daemon.answer = {"accepted": False, "code": -2, "message": "waypoint 1, position: out of reach"}
     try:
         shown = opened(trouble, driver, reason="a goal far away")
         type_goal(shown, 9.0, 9.0)
@@ -103,10 +103,10 @@ def test_a_goal_that_cannot_be_planned_does_not_go(trouble: Trouble, driver: obj
         eventually(lambda: shown.run(DRAWN, BAD) > 30)  # the mark in the picture
         shown.says("#answer", "✗ out of reach")
         shown.picture("more/panel-refused.png")
-        trouble.daemon.answer = {**trouble.daemon.answer, "message": "waypoints[0] to waypoints[1]: 0.6 s"}
+        trouble.daemon.answer = {**trouble.daemon.answer, "message": "waypoint 1 to 2: 0.6 s"}
         shown.press_named(".tools button", "Curve")
         shown.press_named("#goal .fields button", "Add a point")
-        shown.says("#answer", "✗ point 1 to point 2: 0.6 s")
+        shown.says("#answer", "✗ point 1 to 2: 0.6 s")
     finally:
         trouble.daemon.answer = accepted
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import errno
 import json
+from pathlib import Path
 
 import pytest
 
 from hyperbit.controller.commands.common import refusal
+from hyperbit.controller.commands.connection import named
 from hyperbit.controller.commands.operate import demo
 from hyperbit.controller.commands.use import halt
 from hyperbit.controller.commands.use.send import cancel_goal, counted
@@ -39,6 +41,23 @@ from tests.gateway.conftest import NO_ACTUATOR
 def test_a_command_sends_one_request(hyperbit, gateway, words, heard, told):
     assert hyperbit(*words.split(), "--connect", gateway.endpoint) == told
     assert gateway.planner.heard == [heard]
+
+
+def test_the_variable_names_the_endpoint_and_the_option_overrides_it(hyperbit, gateway, monkeypatch):
+    monkeypatch.setenv("HYPERBIT_CONNECT", gateway.endpoint)
+    assert hyperbit("stop", "a") == (0, "stop\n", "")
+    assert named("a", gateway.endpoint, None) == "a"
+    assert named("an arm.yaml", "tcp/10.0.0.2:7447", None) == "'an arm.yaml' --connect tcp/10.0.0.2:7447"
+    assert named("a", gateway.endpoint, Path("tls.json5")) == "a --zenoh tls.json5"
+    monkeypatch.setenv("HYPERBIT_CONNECT", "10.0.0.2:7447")
+    assert hyperbit("stop", "a")[2].startswith("HYPERBIT_CONNECT: '10.0.0.2:7447' is no endpoint: ")
+    assert hyperbit("stop", "a", "--connect", gateway.endpoint)[0] == 0
+
+
+@pytest.mark.parametrize(("arm", "file"), [("a", "ARM.yaml"), ("'my arm.yaml' --connect x", "'my arm.yaml'")])
+def test_advice_names_the_file_that_was_given(arm, file):
+    told = str(refusal(refused(Refusal(Reason.NOT_SIMULATED)), arm))
+    assert told.endswith(f"Next: start a simulated arm by: hyperbit run {file} --simulate")
 
 
 def test_a_fault_is_sent_as_it_is_typed_and_refused_by_real_boards(hyperbit, gateway, monkeypatch):

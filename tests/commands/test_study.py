@@ -119,7 +119,7 @@ def test_a_goal_out_of_reach_fails_but_a_list_of_goals_is_reported(plan):
     assert (code, line["within_tolerance"], "nearest" in err) == (1, False, True)
     code, lines, err = plan(goals="x,y\n9,9\n0.5,2.5\n")
     assert (code, [line["within_tolerance"] for line in lines]) == (0, [False, True])
-    assert "no plan of the whole trajectory: waypoints[0]" in err
+    assert "no plan of the whole trajectory: waypoint 1" in err
 
 
 def test_plan_takes_an_angle_and_its_tolerance(plan):
@@ -149,7 +149,7 @@ def test_goals_of_a_file_are_followed_along_lines(plan, hyperbit, tmp_path):
     words = ("plan", str(ARM), "--goals", str(tmp_path / "goals.csv"), "--path-tolerance", "0.05")
     assert hyperbit(*words)[1].count("\n  0.") == 10
     code, lines, err = plan("--path-tolerance", "0.05", goals="x,y\n-2.6,1.5\n2.6,1.5\n")
-    assert (code, lines, "waypoints[0] to waypoints[1]: (" in err) == (1, [], True)
+    assert (code, lines, "waypoint 1 to 2: (" in err) == (1, [], True)
 
 
 FEW = ("bench", "--set", "revolute24", "--count", "3")

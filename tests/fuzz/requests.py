@@ -11,9 +11,9 @@ import numpy as np
 
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.arm.weights import weights_of
+from hyperbit.controller.armfile.goal_files import parse_goal
 from hyperbit.controller.armfile.settings import MOST_OBSTACLES
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands.common import parse_goal
 from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.manipulator.manipulator import Manipulator

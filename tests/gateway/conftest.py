@@ -41,7 +41,7 @@ from tests.waiting import PATIENCE, eventually
 ARM = "a"
 PREFIX = f"hyperbit/{ARM}"
 GOAL = b'{"id": "x", "waypoints": []}'
-FAR = Refusal(Reason.OUT_OF_REACH, where="waypoints[0].position", position="9, 9", turned="", nearest="4 is the limit")
+FAR = Refusal(Reason.OUT_OF_REACH, where="waypoint 1, position", position="9, 9", turned="", nearest="4 is the limit")
 NO_ACTUATOR = Refusal(Reason.UNKNOWN_ACTUATOR, field="actuator", actuator="9.left", first="1.left", last="8.right")
 
 

@@ -187,7 +187,7 @@ def test_malformed_goals_reach_nobody_and_a_good_one_after_a_flood_does(gateway:
     assert not answer["accepted"]
     assert gateway.planner.keys() == ["goal"]
     gateway.reached()
-    assert results[0]["message"] == "waypoints[0].position[0]: nan is not a finite number"
+    assert results[0]["message"] == "waypoint 1, position[0]: nan is not a finite number"
 
 
 def test_a_flood_of_bad_puts_is_not_published_in_full(gateway: Gateway, monkeypatch: pytest.MonkeyPatch) -> None:

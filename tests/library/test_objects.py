@@ -133,3 +133,18 @@ def distance(point: np.ndarray, lines: np.ndarray) -> float:
     lengths = np.maximum((along**2).sum(axis=1), 1e-30)
     shares = np.clip(((point - first) * along).sum(axis=1) / lengths, 0, 1)
     return float(np.linalg.norm(first + shares[:, None] * along - point, axis=1).min())
+
+
+def test_goals_are_read_from_the_files_of_send(tmp_path):
+    (tmp_path / "a.csv").write_text("x,y,th,t\n1,2,,0\n1,3,0.5,1\n")
+    (tmp_path / "a.yaml").write_text(
+        "tolerance: {position: 0.1}\nwaypoints: [{position: [1, 2]}, {position: [1, 3], orientation: 0.5}]\n"
+    )
+    (tmp_path / "b.yaml").write_text('waypoints: [{configuration: "00"}]\n')
+    for name, tolerance in (("a.csv", None), ("a.yaml", 0.1)):
+        first, second = hb.read_goals(tmp_path / name)
+        assert (first.position.tolist(), first.orientation, second.orientation) == ([1.0, 2.0], None, 0.5)
+        assert second.tolerance == tolerance
+    for name, told in (("b.yaml", "waypoint 1: a configuration"), ("none.csv", "none.csv: cannot be read: No such")):
+        with pytest.raises(hb.GoalError, match=told):
+            hb.read_goals(tmp_path / name)

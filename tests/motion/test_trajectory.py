@@ -100,7 +100,7 @@ def test_a_line_too_fast_is_refused_naming_the_pair_and_a_time_that_does(length,
     positions = np.array([(0.0, 0.0), (0.0, 0.0), (length, 0.0)])
     fast = np.array([0.0, 1.0, 1.0 + pace.shortest])
     assume(2 * length > path)
-    with pytest.raises(Refusal, match=rf"^waypoints\[1\] to waypoints\[2\]: .* path_tolerance {path:g}, the") as caught:
+    with pytest.raises(Refusal, match=rf"^waypoint 2 to 3: .* path_tolerance {path:g}, the") as caught:
         along(fast, positions, 0.002, path, pace)
     assert caught.value.code == INVALID_GOAL
     seconds = float(re.search(r"need (\S+) s$", str(caught.value))[1])
@@ -165,7 +165,7 @@ def test_for_too_few_stages_the_search_is_given_more_time_and_then_the_line_is_n
     for transition, solution in list(zip(found.transitions, found.solutions, strict=True))[1:]:
         assert len(transition.stages) >= solution.switches / 2
     fast = TransitionPlanner(solver, along(np.array([0.0, 4.0]), line, 0.002, 0.02, single), single)
-    with pytest.raises(Refusal, match=r"^waypoints\[0\] to waypoints\[1\], one of \d+ parts: .* and the line \S+ s$"):
+    with pytest.raises(Refusal, match=r"^waypoint 1 to 2, one of \d+ parts: .* and the line \S+ s$"):
         PointByPoint(fast, "pop").plan(home)
 
 
@@ -176,7 +176,7 @@ def test_a_point_of_a_line_out_of_reach_names_the_line_and_the_nearest_found(sol
         PointByPoint(TransitionPlanner(solver, trajectory), "pop").plan(np.zeros(16, dtype=np.int64))
     assert caught.value.code == GOAL_TOLERANCE_VIOLATED
     form = (
-        r"waypoints\[0\] to waypoints\[1\]: \(\S+, \S+\) seems out of reach; the nearest point found is \(.*\),"
+        r"waypoint 1 to 2: \(\S+, \S+\) seems out of reach; the nearest point found is \(.*\),"
         r" \S+ away, tolerance \S+"
     )
     assert re.fullmatch(form, str(caught.value)), str(caught.value)

@@ -140,7 +140,9 @@ def test_a_file_is_read_strictly(site: Site) -> None:
     page = site.open()
     answer = page.ask("file", text="waypoints:\n- position: [0.5, 2.9]\n")
     assert answer["file"] == GOAL
-    assert site.daemon.asked == [("plan", GOAL)]
+    assert page.ask("file", text="\ufeffx,y\n0.5,2.9\n", name="a.CSV")["file"] == GOAL
+    assert page.ask("file", text="x,t\n0.5,2.8\n", name="a.csv")["message"].startswith("columns x,y are needed")
+    assert site.daemon.asked == [("plan", GOAL)] * 2
     assert "alias" in page.ask("file", text="a: &x 1\nb: *x")["message"]
     assert "a mapping" in page.ask("file", text="[1]")["message"]
     assert "may have" in page.ask("file", text=" " * 60_000 + "{")["message"]

@@ -114,7 +114,7 @@ def test_too_many_goals_are_refused_at_once(desk: Desk) -> None:
         desk.ask(key, far, "flood")
         answer = desk.inbox.next("flood")
         assert (answer["id"], answer["code"]) == ("far", codes.GOAL_TOLERANCE_VIOLATED)
-        assert "waypoints[1].position: (90, 0) is out of reach: 90 from the base, " in answer["message"]
+        assert "waypoint 2, position: (90, 0) is out of reach: 90 from the base, " in answer["message"]
     desk.ask("cancel", name="canceled")
     desk.executor.decline(program, Reason.OVERTAKEN)
     assert [desk.inbox.next("reply")["reason"] for _ in range(17)] == ["overtaken"] * 17

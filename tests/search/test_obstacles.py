@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.obstacles.obstacles import NONE
 from hyperbit.controller.search.method import METHODS
+from hyperbit.controller.search.obstructed import obstructed
 from tests.arms import every_configuration, paper_arm, spatial_arm
 from tests.obstacles.dense import Box, Disc, HalfPlane, Shape, nearest, obstacles_of
 from tests.search.worlds import solver_of
@@ -179,3 +181,41 @@ def test_a_goal_in_a_region_is_told_to_be_out_of_reach_and_not_approached_throug
 def test_nothing_to_avoid_is_as_no_clearance_at_all():
     arm = paper_arm(4)
     assert solver_of(arm, None, BodyClearance(arm, NONE)).scene is None
+
+
+@pytest.mark.parametrize("method", ["minimum-switch", "ipop-previous"])
+def test_a_missed_goal_names_what_is_in_the_way(method):
+    arm = paper_arm(4)
+    rest, far = np.zeros(4, dtype=np.int64), arm.states - 1
+    tip = arm.tip(far)[:2, 3]
+    crate, wall = Disc(tuple(tip), 0.3), HalfPlane(tuple(0.6 * tip), tuple(-tip))
+    for parts, point, told in (
+        ([crate], tip, r"is in .*disc.*"),
+        ([wall], tip, r"is in .*half-plane.*"),
+        (
+            [Disc(tuple(0.6 * tip), 0.1)],
+            tip,
+            r"(is|seems) out of reach without a collision, such as: module \d is in .*disc.*",
+        ),
+        ([Disc((9, 9), 0.1)], 3 * tip, "(is|seems) out of reach"),
+    ):
+        solver = solver_of(arm, clearance=BodyClearance(arm, obstacles_of(parts)))
+        target = solver.target(point, 0.01)
+        missed = solver.solve(target, rest, method)
+        explained = solver.explained(missed, target, rest)
+        assert re.fullmatch(told, explained.reach), explained.reach
+        assert not explained.within_tolerance
+
+
+def test_positions_that_obstacles_take_away_are_those_of_brute_force():
+    arm, radius = paper_arm(4), 0.02
+    every = every_configuration(arm)
+    tips, away = arm.tips(every)[:, :2, 3], arm.tip(arm.states - 1)[:2, 3]
+    clearance = BodyClearance(arm, obstacles_of([Disc(tuple(0.7 * away), 0.1)]))
+    clear = ~clearance.blocked(every)
+    lost = obstructed(solver_of(arm, clearance=clearance), radius, count=60)
+    near = np.linalg.norm(tips[None] - lost.positions[:, None], axis=2)
+    assert (near.min(axis=1) <= radius + SURE).all()
+    assert (lost.reached == (near[:, clear].min(axis=1) <= radius)).all()
+    assert (~lost.reached).sum() == sum(lost.inside.values()) + sum(lost.behind.values()) > 0
+    assert {*lost.inside, *lost.behind} <= {*clearance.obstacles.names}

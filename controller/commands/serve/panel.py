@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands import ENDPOINT
+from hyperbit.controller.commands import CONNECT, ENDPOINT
 from hyperbit.controller.commands.arguments import ZenohFile
 from hyperbit.controller.commands.common import CommandFailed
 
@@ -23,7 +23,7 @@ CLIENTS = "Authority of client certificates; people whose certificate is named i
 
 def panel(
     listen: Annotated[str, typer.Option(metavar="HOST:PORT", help="Address of the page.")] = LISTEN,
-    connect: Annotated[list[str], typer.Option(help="Zenoh endpoint of a daemon; repeatable.")] = [],  # noqa: B006  # typer needs a list
+    connect: Annotated[list[str], typer.Option(envvar=CONNECT, help="Zenoh endpoint of a daemon; repeatable.")] = [],  # noqa: B006  # typer needs a list
     zenoh_file: ZenohFile = None,
     people: Annotated[Path | None, typer.Option(metavar="PEOPLE.yaml", help=PEOPLE)] = None,
     new_token: Annotated[

@@ -13,10 +13,13 @@ import numpy as np
 import typer
 
 from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.armfile.goal_files import parse_goal, read_goal
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands.arguments import ArmFile, AsJson, Dask, Tolerance, Workers
-from hyperbit.controller.commands.common import CommandFailed, errors, parse_goal, shown
+from hyperbit.controller.commands import ENDPOINT
+from hyperbit.controller.commands.arguments import ArmFile, AsJson, Connect, Dask, Tolerance, Workers, ZenohFile
+from hyperbit.controller.commands.common import CommandFailed, errors, shown
 from hyperbit.controller.commands.sharing import Sharing, checked_sharing, open_workers, progress_bar
+from hyperbit.controller.commands.study.plan_goal import plan_goal
 from hyperbit.controller.commands.study.plan_rows import (
     PlanOptions,
     PointSolution,
@@ -43,7 +46,15 @@ from hyperbit.controller.studies.shares import Run, goals_a_share
 from hyperbit.controller.studies.stream import results
 
 ONE_GOAL = "One goal, optionally with an orientation; spatial arms: X,Y,Z[,QX,QY,QZ,QW]."
-MANY_GOALS = "Goals with columns x,y[,th] or x,y,z[,qx,qy,qz,qw], and optionally `previous`."
+GOAL_FILE = (
+    "File of a goal as `send` takes it, planned from where the arm is, as its daemon tells; without a daemon from"
+    " --previous."
+)
+PICTURE = "Draw the plan of a goal's file."
+MANY_GOALS = (
+    "Goals of a study: a CSV file with columns x,y[,th] or x,y,z[,qx,qy,qz,qw], and optionally `previous`; or a goal's"
+    " file, whose times do not count."
+)
 PATH_TOLERANCE = "Follow straight lines between --goals within this distance."
 ANGLE_TOLERANCE = "Orientation tolerance [rad]. Default: the arm's."
 DEADLINE = "Longest time of planning [s], also for a goal that is not found. Default: see `planning` of the arm's file."
@@ -57,6 +68,7 @@ MOST_ROWS = 300  # of a table, which is printed at the end
 
 def plan(
     file: ArmFile,
+    goal_file: Annotated[Path | None, typer.Argument(metavar="GOAL", help=GOAL_FILE, show_default=False)] = None,
     goal: Annotated[str | None, typer.Option(metavar="X,Y[,TH]", help=ONE_GOAL)] = None,
     goals: Annotated[Path | None, typer.Option(metavar="FILE.csv", help=MANY_GOALS)] = None,
     configuration: Annotated[str | None, typer.Option(help="Configuration to describe instead of a search.")] = None,
@@ -72,12 +84,23 @@ def plan(
     workers: Workers = 1,
     dask: Dask = None,
     output: Annotated[Path | None, typer.Option(metavar="FILE.jsonl", help=OUTPUT)] = None,
+    picture: Annotated[Path | None, typer.Option(help=PICTURE)] = None,
+    connect: Connect = ENDPOINT,
+    zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Search configurations for goals, without hardware."""
+    """Plan a goal's file as `send` would carry it out, or search configurations for goals. Nothing moves."""
     tolerances = tolerance, angle_tolerance, path_tolerance
     options = PlanOptions(goal, goals, configuration, previous, *tolerances, method, deadline, effort, apart, prove)
     sharing = checked_sharing(workers, dask)
+    if goal_file is not None:
+        check_alone(options, sharing.given or (output and "--output"))
+        fields = {"deadline": deadline, "path_tolerance": path_tolerance}
+        payload = {**read_goal(goal_file), **{name: value for name, value in fields.items() if value is not None}}
+        plan_goal(file, payload, previous, connect, zenoh_file, picture, as_json=as_json)
+        return
+    if picture is not None:
+        raise InputFaults(Path("--picture"), ["it is for a goal's file: plan ARM.yaml GOAL"])
     if goals is None and (given := sharing.given or (output and "--output")):
         raise InputFaults(Path(given), ["it is for many goals: give --goals FILE.csv"])
     check_options(options)
@@ -98,9 +121,18 @@ def plan(
         raise CommandFailed(f"configuration {configuration}: {where}")
 
 
+def check_alone(options: PlanOptions, study: object) -> None:
+    """Refuses the options of a study beside a goal's file."""
+    taken = {name for name, value in options._asdict().items() if value}
+    if other := sorted(taken - {"previous", "path_tolerance", "deadline"}):
+        study = f"--{other[0].replace('_', '-')}"
+    if study:
+        raise InputFaults(Path("plan"), [f"give either a goal's file, which is planned as `send` would, or {study}"])
+
+
 def check_options(options: PlanOptions) -> None:
     if [options.goal, options.goals, options.configuration].count(None) != 2:
-        raise InputFaults(Path("plan"), ["give one of --goal, --goals and --configuration"])
+        raise InputFaults(Path("plan"), ["give one of a goal's file, --goal, --goals and --configuration"])
     tolerances = (
         ("--tolerance", "length", options.tolerance),
         ("--turn", "angle", options.angle_tolerance),
@@ -156,7 +188,11 @@ class PlanJob(NamedTuple):
 
 def study_goals(job: PlanJob, sharing: Sharing, output: Path | None, *, as_json: bool) -> None:
     """Searches the goals of a file; prints the results in order as they come, or writes them to a file."""
-    total = sum(1 for _ in read_goals(job.arm, job.options))  # all are checked before the first is searched
+    total = timed = 0
+    for goal in read_goals(job.arm, job.options):  # all are checked before the first is searched
+        total, timed = total + 1, timed + goal.timed
+    if timed:
+        errors.print("a study ignores the times `t`; with them plans: hyperbit plan ARM.yaml GOAL")
     with ExitStack() as stack:
         file, done = None, 0
         if output is not None:

@@ -14,6 +14,7 @@ from typing import IO, TYPE_CHECKING, Any, BinaryIO, NamedTuple
 import numpy as np
 
 from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.armfile.goal_files import CSV, GoalRow, Orientation, goal_rows, parse_goal, read_goal
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands.common import (
     CommandFailed,
@@ -25,12 +26,13 @@ from hyperbit.controller.commands.common import (
     results_table,
     shown,
 )
-from hyperbit.controller.commands.goal_rows import Orientation, goal_rows
 from hyperbit.controller.host.keeper import FileInUse, lock_file
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.manipulator.locked import transferred
 from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.motion.decoding.goal import parse
 from hyperbit.controller.motion.plans.description import describe_solution
+from hyperbit.controller.refusals.refusal import Refusal, nth_waypoint
 from hyperbit.controller.search.method import Method
 from hyperbit.controller.studies import lines
 
@@ -69,6 +71,7 @@ class WantedGoal(NamedTuple):
     position: list[float]
     orientation: Orientation
     previous: Configuration | None = None
+    timed: bool = False  # whether its file has a time for it, which a study ignores
 
     def target(self) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
         """Returns the position, or the tip's frame (4, 4) if the goal has an orientation."""
@@ -95,14 +98,43 @@ class Row(NamedTuple):
 
 
 def read_goals(arm: Arm, options: PlanOptions) -> Iterator[WantedGoal]:
-    path = options.goals or Path()
-    rows = goal_rows(path, "previous", lambda text, where: unlocked(arm, text, where), arm.manipulator.dimension)
-    for goal in map(WantedGoal._make, rows):
+    path, faults = options.goals or Path(), list[str]()
+    for row in study_rows(path, arm.manipulator.dimension):
+        try:
+            previous = unlocked(arm, row.previous, row.where) if row.previous else None
+        except InputFaults as error:
+            faults += [f"{row.where}: {fault}" for fault in error.faults]
+            continue
+        goal = WantedGoal(row.position, row.orientation, previous, timed=row.t is not None)
         if options.path_tolerance is not None and goal.previous is not None:
             raise InputFaults(path, ["column previous: remove it, each line begins at the end of the previous line"])
         if options.path_tolerance is not None and goal.orientation is not None:
             raise InputFaults(path, ["orientations: remove them, lines are followed by position only"])
         yield goal
+    if faults:
+        raise InputFaults(path, faults)
+
+
+def study_rows(path: Path, dimension: int) -> Iterator[GoalRow]:
+    """Yields the waypoints of a file for a study; those of a CSV file as they are read."""
+    if path.suffix.lower() == CSV:
+        yield from goal_rows(path, dimension)
+        return
+    try:
+        message = parse(json.dumps(read_goal(path)).encode())
+    except Refusal as refusal:
+        raise InputFaults(path, [str(refusal)]) from None
+    for k, waypoint in enumerate(message.waypoints):
+        where, turn = nth_waypoint(k), waypoint.orientation
+        if waypoint.position is None:
+            words = "a study has positions; `plan ARM.yaml GOAL` plans configurations"
+            raise InputFaults(path, [f"{where}: {words}"])
+        fields = [*waypoint.position, *(turn if isinstance(turn, list) else [] if turn is None else [turn])]
+        try:
+            goal = parse_goal([repr(float(x)) for x in fields], dimension, where)
+        except InputFaults as error:
+            raise InputFaults(path, [f"{where}: {fault}" for fault in error.faults]) from None
+        yield GoalRow(where, *goal, waypoint.t or None, "")
 
 
 def unlocked(arm: Arm, text: str, where: str) -> Configuration:

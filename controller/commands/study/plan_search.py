@@ -65,6 +65,7 @@ def search_one(search: GoalSearch, goal: WantedGoal, start: Configuration) -> Po
     angle_tolerance = np.inf if goal.orientation is None else search.angle_tolerance
     target = search.solver.target(goal.target(), search.tolerance, angle_tolerance)
     found = search.solver.solve(target, own, search.method, search.allowed)
+    found = search.solver.explained(found, target, own, search.allowed)
     return PointSolution(goal.position, goal.orientation, found)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import typer
 
 from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.armfile.goal_files import parse_goal
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.armfile.units import unit_mark
@@ -19,7 +20,6 @@ from hyperbit.controller.commands.common import (
     console,
     densities_of,
     drawing,
-    parse_goal,
     print_json,
     print_table,
     results_table,
@@ -29,7 +29,10 @@ from hyperbit.controller.commands.sharing import checked_sharing, open_workers, 
 from hyperbit.controller.manipulator.frames import quaternion
 
 if TYPE_CHECKING:
+    from hyperbit.controller.search.obstructed import Obstructed
+    from hyperbit.controller.search.solver import Solver
     from hyperbit.controller.workspace.coverage import Coverage, Range
+    from hyperbit.controller.workspace.densities import Densities
     from hyperbit.controller.workspace.locked_reach import LockedReach, Reach
     from hyperbit.controller.workspace.orientations import Orientations
 
@@ -40,6 +43,7 @@ COUNTED = {
     "halves": "configurations are counted exactly, as pairs of two lists",
     "draws": "random draws, weighted by the Mapping Algorithm's densities; the arm has too many configurations to list",
 }
+OBSTACLES = "Also report how much of the area the arm's obstacles take away, and which of them."
 LOCKED = "a lock changes only the intermediate workspaces below its module; the others are mapped once"
 
 
@@ -54,6 +58,7 @@ def workspace(
     samples: Annotated[int, typer.Option(help="Most random choices of locked actuators, if K is above 1.")] = 100,
     tolerance: Tolerance = None,
     picture: Picture = Path("workspace.png"),
+    obstacles: Annotated[bool, typer.Option("--obstacles", help=OBSTACLES)] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of random draws and choices.")] = 0,
     workers: Workers = 1,
     dask: Dask = None,
@@ -63,6 +68,7 @@ def workspace(
 
     `--workers` and `--dask` share the positions, and the choices of locked actuators. The figures stay the same.
     """
+    from hyperbit.controller.search.obstructed import obstructed
     from hyperbit.controller.workspace.coverage import CountJob, coverage_of
     from hyperbit.controller.workspace.locked_reach import LockChoices, reach_when_locked
     from hyperbit.controller.workspace.orientations import orientations_at
@@ -74,6 +80,8 @@ def workspace(
         raise InputFaults(Path("--tolerance"), [f"{own:g} is no length from 1e-9 to 1e6"])
     if not 1 <= samples <= 10_000:
         raise InputFaults(Path("--samples"), [f"{samples} is not from 1 to 10000"])
+    if obstacles and arm.clearance().free:
+        raise InputFaults(Path("--obstacles"), [f"{file} has neither `obstacles` nor `self_collision`"])
     sharing = checked_sharing(workers, dask)
     point = None if at is None else position(at, arm.manipulator.dimension)
     densities = densities_of(arm, silent=as_json)
@@ -89,6 +97,7 @@ def workspace(
                 reach = reach_when_locked(reduced, densities, own, LockChoices(locked, samples, seed), spread)
             except ValueError as error:
                 raise InputFaults(Path("--locked"), [str(error)]) from None
+    lost = None if not obstacles else obstructed(solver_of(arm, densities), own, seed=seed)
     from hyperbit.controller.pictures.workspace_plots import draw_workspace, locked_field, positions_field
 
     unit = arm.settings.unit
@@ -99,9 +108,12 @@ def workspace(
     if reach is not None:
         fields["locked"] = locks(arm, reach, locked or 0)
         drawn.append(locked_field(reach, locked or 0))
+    if lost is not None:
+        fields["obstacles"] = losses(lost)
     shown_at = found if found is not None and len(found.counts) else None
+    among = None if lost is None else (arm.obstacles, lost.positions[~lost.reached])
     with drawing(picture):
-        draw_workspace(reduced, drawn, point, shown_at, arm.settings.name, unit).savefig(picture, dpi=130)
+        draw_workspace(reduced, drawn, point, shown_at, arm.settings.name, unit, among).savefig(picture, dpi=130)
     fields["picture"] = str(picture)
     if as_json:
         print_json(fields)
@@ -186,6 +198,28 @@ def choice(arm: Arm, reach: Reach) -> dict[str, Any]:
     return {"locked": {label: STATES[state] for label, state in labels if state >= 0}, **figures(reach)}
 
 
+def solver_of(arm: Arm, densities: Densities) -> Solver:
+    from hyperbit.controller.search.solver import Solver
+
+    solver = Solver(arm.reduced, densities, clearance=arm.clearance(arm.reduced))
+    solver.prepare()
+    return solver
+
+
+def losses(found: Obstructed) -> dict[str, Any]:
+    """Returns the figures of obstacles, as shares of the positions that the arm reaches without them."""
+    count = len(found.positions)
+    return {
+        "method": "search",
+        "positions": count,
+        "reached": float(found.reached.mean()),
+        "standard_error": found.error,
+        "undecided": float((~found.proven).mean()),
+        "inside": {name: number / count for name, number in found.inside.items()},
+        "behind": {name: number / count for name, number in found.behind.items()},
+    }
+
+
 def finite(value: float) -> float | None:
     """Returns a number, or None if it is infinite: JSON has no infinity."""
     return value if math.isfinite(value) else None
@@ -206,8 +240,17 @@ def show(report: dict[str, Any]) -> None:
         f" {own['positions']} positions, by {own['method']}: {own['why']}.\n"
         f"{kind} with at least one configuration within {tolerance}: {span(own['covered'], '{:.3g}')}{power}\n"
         f"configurations within {tolerance}: median {span(own['log10_redundancy'], '10^{:.1f}')} over that {kind},"
-        f" 10^{own['log10_greatest_redundancy']:.1f} near {shown(own['densest'])}{mark}. Obstacles are not considered."
+        f" 10^{own['log10_greatest_redundancy']:.1f} near {shown(own['densest'])}{mark}."
+        f"{'' if 'obstacles' in report else ' Obstacles are not considered: --obstacles does.'}"
     )
+    if (among := report.get("obstacles")) is not None:
+        console.print(
+            f"among the obstacles: {among['reached']:.1%} of that {kind}, standard error {among['standard_error']:.1%},"
+            f" by searches at {among['positions']} random positions; {among['undecided']:.1%} are not proven lost"
+        )
+        for name in sorted({*among["inside"], *among["behind"]}):
+            inside, behind = among["inside"].get(name, 0.0), among["behind"].get(name, 0.0)
+            console.print(f"  {name}: {inside:.1%} inside, {behind:.1%} behind it")
     if (at := report.get("at")) is not None:
         console.print(
             f"at {shown(at['position'])}{mark}, by {at['method']}: {at['why']}.\n"

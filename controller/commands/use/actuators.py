@@ -14,7 +14,7 @@ from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, Locks, Switches, Wait, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, counted, print_json, refusal
-from hyperbit.controller.commands.connection import ask, connected
+from hyperbit.controller.commands.connection import ask, connected, named
 from hyperbit.controller.network.endpoints import START
 from hyperbit.controller.network.messages import filled
 
@@ -49,13 +49,13 @@ def jog(
 
     with connected(arm, connect, zenoh_file) as client:
         if not wait:
-            ask(client, arm, "jog", {"actuators": actuators}, as_json)
+            ask(client, named(arm, connect, zenoh_file), "jog", {"actuators": actuators}, as_json)
             return
         result = client.run({"actuators": actuators}, show, key="jog")
     if as_json and "status" in result:
         print_json(result)
     if result.get("code") != 0:
-        raise refusal(result, arm)
+        raise refusal(result, named(arm, connect, zenoh_file))
     if not as_json:
         result = filled("result", result)
         times = [f"{travel['actuator']} in {travel['seconds'] * 1e3:.0f} ms" for travel in result["travels"]]
@@ -75,7 +75,7 @@ def lock(
     states: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
     with connected(arm, connect, zenoh_file) as client, client.subscribe("state", states.put):
         for actuator, state in wanted:
-            ask(client, arm, "degrade", {"actuator": actuator, "state": state}, as_json)
+            ask(client, named(arm, connect, zenoh_file), "degrade", {"actuator": actuator, "state": state}, as_json)
             time.sleep(PAUSE)
         if wait:
             found = locked_state(states, dict(wanted))

@@ -10,7 +10,7 @@ import typer
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
-from hyperbit.controller.commands.connection import ask, connected
+from hyperbit.controller.commands.connection import ask, connected, named
 from hyperbit.drivers.simulation.fault_commands import described
 
 WORDS = "Verb, what it applies to, and for some verbs a number, such as: silence can0/5, or: stick 5.left 1."
@@ -27,7 +27,7 @@ def fault(
     if not (text := " ".join(words)).isprintable():
         raise InputFaults(Path("fault"), [f"{text!r}: letters, digits and / are needed, as in silence can0/5"])
     with connected(arm, connect, zenoh_file) as client:
-        ask(client, arm, "fault", {"fault": text}, as_json)
+        ask(client, named(arm, connect, zenoh_file), "fault", {"fault": text}, as_json)
 
 
 fault.__doc__ = f"{fault.__doc__}\n\n\b\nVerbs:\n{described()}"

@@ -12,7 +12,7 @@ from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import print_json
-from hyperbit.controller.commands.connection import ask, connected
+from hyperbit.controller.commands.connection import ask, connected, named
 
 REGIONS = "Obstacles, YAML or JSON: a list `regions`, written as `obstacles` in the arm's file. Without it: list."
 KINDS = ("disc", "sphere", "box", "half_plane", "half_space")
@@ -36,7 +36,7 @@ def obstacles(
         if file is None and not none:
             print_obstacles(client.describe(), as_json)
         else:
-            ask(client, arm, "obstacles", payload, as_json)
+            ask(client, named(arm, connect, zenoh_file), "obstacles", payload, as_json)
 
 
 def print_obstacles(description: dict[str, Any], as_json: bool) -> None:

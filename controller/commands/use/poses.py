@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hyperbit.controller.armfile.goal_files import read_goal
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, print_json
-from hyperbit.controller.commands.connection import ask, connected
-from hyperbit.controller.commands.use.send import read_goal
+from hyperbit.controller.commands.connection import ask, connected, named
 
 if TYPE_CHECKING:
     from hyperbit.controller.network.client import Client
@@ -35,13 +35,20 @@ def poses(
     if (save is not None and remove is not None) or (file is not None and save is None):
         raise InputFaults(Path("poses"), ["give --save NAME [FILE], or --remove NAME, or neither"])
     goal = None if file is None else read_goal(file)
+    further = named(arm, connect, zenoh_file)
     with connected(arm, connect, zenoh_file) as client:
         if save is not None:
             if not replace and save in (pose["name"] for pose in client.describe()["poses"]):
                 raise CommandFailed(f"{arm} has a pose {save!r} already", "give another name, or --replace")
-            ask(client, arm, "poses", {"save": save, "goal": goal or present(client, arm)}, as_json)
+            ask(
+                client,
+                named(arm, connect, zenoh_file),
+                "poses",
+                {"save": save, "goal": goal or present(client, arm)},
+                as_json,
+            )
         elif remove is not None:
-            ask(client, arm, "poses", {"remove": remove}, as_json)
+            ask(client, further, "poses", {"remove": remove}, as_json)
         else:
             print_poses(client.describe()["poses"], as_json)
 

@@ -12,7 +12,7 @@ from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, print_json
 from hyperbit.controller.commands.completion import complete_arms
-from hyperbit.controller.commands.connection import ask, connected, open_session
+from hyperbit.controller.commands.connection import ask, connected, named, open_session
 from hyperbit.controller.network.endpoints import START
 
 ALL = "Stop all arms of the network, also below namespaces, and tell which have stopped."
@@ -22,7 +22,7 @@ ANY_ARM = "The arm's file, or its name. With --all it is absent."
 def cancel(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
     """Cancel the running goal or stream of set-points; the arm holds and accepts the next goal."""
     with connected(arm, connect, zenoh_file, find=False) as client:
-        ask(client, arm, "cancel", {}, as_json)
+        ask(client, named(arm, connect, zenoh_file), "cancel", {}, as_json)
 
 
 def stop(
@@ -41,7 +41,7 @@ def stop(
         stop_arms(connect, zenoh_file, as_json)
         return
     with connected(arm, connect, zenoh_file, find=False) as client:
-        ask(client, arm, "stop", {}, as_json)
+        ask(client, named(arm, connect, zenoh_file), "stop", {}, as_json)
 
 
 def stop_arms(connect: str, zenoh_file: Path | None, as_json: bool) -> None:
@@ -68,4 +68,4 @@ def stop_arms(connect: str, zenoh_file: Path | None, as_json: bool) -> None:
 def reset(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
     """Leave a stop or a fault. Nothing moves."""
     with connected(arm, connect, zenoh_file) as client:
-        ask(client, arm, "reset", {}, as_json)
+        ask(client, named(arm, connect, zenoh_file), "reset", {}, as_json)

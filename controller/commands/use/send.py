@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import sys
+import shlex
 import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hyperbit.controller.armfile.choices import number
-from hyperbit.controller.armfile.documents import parse_payload, read_text
+from hyperbit.controller.armfile.goal_files import Orientation, parse_goal, read_goal
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import ENDPOINT, common
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
-from hyperbit.controller.commands.common import CommandFailed, counted, parse_goal, print_json, refusal
-from hyperbit.controller.commands.connection import connected
-from hyperbit.controller.commands.goal_rows import Orientation, goal_rows
+from hyperbit.controller.commands.common import CommandFailed, counted, print_json, refusal
+from hyperbit.controller.commands.connection import connected, named
 from hyperbit.controller.network.messages import filled
 
 if TYPE_CHECKING:
     from hyperbit.controller.network.client import Client
 
-FILE = "File of a goal: YAML or JSON with `waypoints`, or CSV with a waypoint in each row (x, y[, z][, th], t)."
+FILE = "File of a goal: YAML or JSON with `waypoints`, or CSV with a waypoint in each row (x, y[, z][, th][, t])."
 ONE_GOAL = "Position to go to, optionally with an orientation; spatial arms: X,Y,Z[,QX,QY,QZ,QW]."
 
 
@@ -58,38 +56,26 @@ def send(
         raise InputFaults(Path("--to"), [f"{to!r} is no goal; {form}: 2, 3 or 7 numbers"])
     if to is not None and numbers != 3:
         goal["waypoints"] = [waypoint(*parse_goal(to.split(","), 2 if numbers < 3 else 3, "--to"))]
+    further = named(arm, connect, zenoh_file)
     with connected(arm, connect, zenoh_file) as client:
         if pose is not None:
-            goal = {**goal_of_pose(client, arm, pose), **goal}
+            goal = {**goal_of_pose(client, pose, further), **goal}
         if to is not None and numbers == 3:  # X,Y,Z or X,Y,TH: the arm's dimension decides
             goal["waypoints"] = [waypoint(*parse_goal(to.split(","), client.describe()["dimension"], "--to"))]
         result = run_goal(client, goal, as_json)
-    print_result(result, arm, as_json)
+    print_result(result, further, as_json)
 
 
-def read_goal(file: Path) -> dict[str, Any]:
-    """Returns the payload of a goal's file; its ending `.csv` tells the format."""
-    if file.suffix.lower() != ".csv":
-        return parse_payload(read_text(file), file, "goal", "waypoints")
-    return {"waypoints": [waypoint(*row) for row in goal_rows(file, "t", seconds)]}
+def waypoint(position: list[float], orientation: Orientation) -> dict[str, Any]:
+    return {"position": position, **({} if orientation is None else {"orientation": orientation})}
 
 
-def seconds(text: str, where: str) -> float:
-    try:
-        return number(text, sys.float_info.max, 0.0)
-    except ValueError as error:
-        raise InputFaults(Path(where), [f"t [s]: {error}"]) from None
-
-
-def waypoint(position: list[float], orientation: Orientation, t: float | None = None) -> dict[str, Any]:
-    more = {"orientation": orientation, "t": t}
-    return {"position": position, **{name: value for name, value in more.items() if value is not None}}
-
-
-def goal_of_pose(client: Client, arm: str, name: str) -> dict[str, Any]:
+def goal_of_pose(client: Client, name: str, arm: str) -> dict[str, Any]:
     known = {pose["name"]: pose["goal"] for pose in client.describe()["poses"]}
     if name not in known:
-        raise CommandFailed(f"{arm} has no pose {name!r}; it has {', '.join(known)}", f"hyperbit poses {arm}")
+        raise CommandFailed(
+            f"{shlex.split(arm)[0]} has no pose {name!r}; it has {', '.join(known)}", f"hyperbit poses {arm}"
+        )
     goal: dict[str, Any] = known[name]
     return goal
 
@@ -118,6 +104,7 @@ def run_goal(client: Client, goal: dict[str, Any], as_json: bool) -> dict[str, A
 
 
 def print_result(result: dict[str, Any], arm: str, as_json: bool) -> None:
+    """Prints the result of a goal, or raises its failure. `arm`: see `named`."""
     if as_json and "status" in result:
         print_json(result)
     if result.get("code") != 0:

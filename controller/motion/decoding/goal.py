@@ -22,9 +22,9 @@ from hyperbit.controller.armfile.fields import Angle, AngleTolerance, Coordinate
 from hyperbit.controller.armfile.strict import UNIT
 from hyperbit.controller.decoding.decoding import Unreadable, decode
 from hyperbit.controller.motion.decoding.payloads import check_size, converted, object_in
-from hyperbit.controller.motion.trajectory import MOST_POINTS, Trajectory, along, through
+from hyperbit.controller.motion.trajectory import FINEST, MOST_POINTS, Trajectory, along, count_parts, through
 from hyperbit.controller.refusals.reasons import Reason
-from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.refusals.refusal import Refusal, leg, nth_waypoint
 
 if TYPE_CHECKING:
     from hyperbit.controller.manipulator.manipulator import Manipulator
@@ -47,6 +47,7 @@ Id = Annotated[str, Meta(pattern=r"^[ -~]{1,128}\Z")]  # it is written to logs, 
 class Waypoint(Struct, forbid_unknown_fields=True, frozen=True):
     """A point at which the arm must have settled `t` seconds after the stamp.
 
+    If no waypoint of a goal has a `t` above 0, the goal takes as long as the arm needs at most.
     It has either a position of the tip, with an optional orientation, or a configuration in the notation of `fk`.
     """
 
@@ -168,16 +169,15 @@ def check_destinations(message: GoalMessage) -> None:
         Refusal: a waypoint has neither or both, or a configuration with an orientation or a path tolerance.
     """
     for k, waypoint in enumerate(message.waypoints):
-        where = f"waypoints[{k}]"
         if waypoint.configuration is None:
             if waypoint.position is None:
-                raise Refusal(Reason.NO_DESTINATION, where=f"{where}.position")
+                raise Refusal(Reason.NO_DESTINATION, where=nth_waypoint(k, "position"))
             continue
         for name, given in (("position", waypoint.position), ("orientation", waypoint.orientation)):
             if given is not None:
-                raise Refusal(Reason.TWO_DESTINATIONS, where=f"{where}.{name}")
+                raise Refusal(Reason.TWO_DESTINATIONS, where=nth_waypoint(k, name))
         if message.path_tolerance is not None:
-            raise Refusal(Reason.LINE_WITH_POSE, where=f"{where}.configuration")
+            raise Refusal(Reason.LINE_WITH_POSE, where=nth_waypoint(k, "configuration"))
 
 
 def check_reach(message: GoalMessage, base: Sequence[float], farthest: float, tolerance: float) -> None:
@@ -201,7 +201,7 @@ def check_reach(message: GoalMessage, base: Sequence[float], farthest: float, to
         if position is None or len(position) != len(base):
             continue
         if (away := math.dist(position, base)) > farthest + most:
-            where, numbers = f"waypoints[{k}].position", ", ".join(f"{x:g}" for x in position)
+            where, numbers = nth_waypoint(k, "position"), ", ".join(f"{x:g}" for x in position)
             raise Refusal(Reason.BEYOND_LENGTH, message.id, where=where, position=numbers, away=away, farthest=farthest)
 
 
@@ -229,17 +229,19 @@ def schedule(message: GoalMessage, rules: GoalRules, now: float) -> Trajectory:
     for k, waypoint in enumerate(message.waypoints):
         position: Position = waypoint.position or ()
         if waypoint.configuration is not None:
-            position, fixed[k] = destination(waypoint.configuration, manipulator, f"waypoints[{k}].configuration")
+            position, fixed[k] = destination(waypoint.configuration, manipulator, nth_waypoint(k, "configuration"))
         elif len(position) != dimension:
             raise Refusal(
-                Reason.WRONG_DIMENSION, where=f"waypoints[{k}].position", count=len(position), dimension=dimension
+                Reason.WRONG_DIMENSION, where=nth_waypoint(k, "position"), count=len(position), dimension=dimension
             )
         elif waypoint.orientation is not None and message.path_tolerance is not None:
-            raise Refusal(Reason.LINE_WITH_POSE, where=f"waypoints[{k}].orientation")
+            raise Refusal(Reason.LINE_WITH_POSE, where=nth_waypoint(k, "orientation"))
         places.append(position)
-    moments = [waypoint.t for waypoint in message.waypoints]
+    positions, moments = np.array(places, dtype=np.float64), [waypoint.t for waypoint in message.waypoints]
+    if not any(moments):
+        moments = ample_times(positions, message.path_tolerance, rules).tolist()
     check_times(moments, message.stamp, pace.shortest, now)
-    positions, times = np.array(places, dtype=np.float64), np.array(moments)
+    times = np.array(moments)
     own, stamp = message.tolerance.position or tolerance, message.stamp or None
     if message.path_tolerance is None:
         angle = message.tolerance.orientation or angle_tolerance
@@ -247,10 +249,18 @@ def schedule(message: GoalMessage, rules: GoalRules, now: float) -> Trajectory:
         turns = rotations = None
         if any(orientation is not None for orientation in wanted):
             turns = np.array([math.inf if value is None or angle >= math.pi else angle for value in wanted])
-            rotations = np.array([rotation(v, dimension, f"waypoints[{k}].orientation") for k, v in enumerate(wanted)])
+            rotations = np.array([rotation(v, dimension, nth_waypoint(k, "orientation")) for k, v in enumerate(wanted)])
         trajectory = through(times, positions, own, stamp, rotations, turns)
         return replace(trajectory, fixed=fixed) if fixed else trajectory
     return along(times, positions, own, message.path_tolerance, pace, stamp)
+
+
+def ample_times(positions: NDArray[np.float64], path_tolerance: float | None, rules: GoalRules) -> NDArray[np.float64]:
+    """Returns times (m,) [s] for waypoints (m, dimension) without times, enough for the switches between them."""
+    ample = rules.pace.ample(0 if rules.manipulator is None else len(rules.manipulator.actuators))
+    lengths = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    parts = np.ones(len(lengths)) if path_tolerance is None else count_parts(lengths, path_tolerance / FINEST)
+    return np.concatenate([[0.0], np.cumsum(ample * parts)])
 
 
 def destination(
@@ -302,13 +312,11 @@ def check_times(times: Sequence[float], stamp: float, shortest: float, now: floa
     """
     for k, (before, after) in enumerate(pairwise(times)):
         if after <= before:
-            earlier = f"waypoints[{k}].t = {before:g}"
-            raise Refusal(Reason.TIMES_NOT_INCREASING, where=f"waypoints[{k + 1}]", t=after, earlier=earlier)
+            earlier = f"{before:g} of {nth_waypoint(k)}"
+            raise Refusal(Reason.TIMES_NOT_INCREASING, where=nth_waypoint(k + 1, "t"), t=after, earlier=earlier)
         if after - before < shortest - 1e-9:
             apart, needed = f"{after - before:.3g}", f"{shortest:.3g}"
-            raise Refusal(
-                Reason.TIMES_TOO_CLOSE, where=f"waypoints[{k}] to waypoints[{k + 1}]", apart=apart, needed=needed
-            )
+            raise Refusal(Reason.TIMES_TOO_CLOSE, where=leg(k), apart=apart, needed=needed)
     if stamp and stamp + times[-1] < now:
         late = now - stamp - times[-1]
         raise Refusal(Reason.ARRIVED_TOO_LATE, late=f"{late:.3f}")

@@ -12,6 +12,7 @@ from hyperbit.controller.manipulator.notation import format_configuration, pose
 if TYPE_CHECKING:  # their kernels take seconds to import
     from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
     from hyperbit.controller.motion.plans.plan import TrajectoryPlan
+    from hyperbit.controller.motion.stages.pacing import Pace, Staged
     from hyperbit.controller.search.solution import Solution
 
 
@@ -30,7 +31,7 @@ def describe_solution(whole: Manipulator, reduced: Manipulator, solution: Soluti
 
 
 def describe_plan(
-    whole: Manipulator, reduced: Manipulator, previous: Configuration, plan: TrajectoryPlan
+    whole: Manipulator, reduced: Manipulator, previous: Configuration, plan: TrajectoryPlan, pace: Pace
 ) -> dict[str, Any]:
     """Returns the fields of a plan: `message`, `waypoints`, its proof, and the tip bias if there is a tracker.
 
@@ -49,6 +50,7 @@ def describe_plan(
                 "between": trajectory.between(k),
                 **describe_solution(whole, reduced, solution, bool(trajectory.turns[k] < np.inf)),
                 "stages": [[whole.actuators[a] for a in np.flatnonzero(c)] for c in changes if c.any()],
+                "needed": needed(pace, solution, transition),
                 "excursion": transition.deviation,
             }
         )
@@ -63,3 +65,10 @@ def describe_plan(
         **plan.proof(),
         **bias,
     }
+
+
+def needed(pace: Pace, solution: Solution, transition: Staged) -> float:
+    """Returns the least time for a transition [s]: stages among obstacles stay as they are, others may be merged."""
+    if solution.switches == 0:
+        return 0.0
+    return pace.rest + pace.lead * len(transition.stages) if transition.strict else pace.needed(solution.switches)

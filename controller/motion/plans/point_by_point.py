@@ -91,7 +91,7 @@ class PointByPoint:
         allowed = self._time(point, min(self._longest, remaining))
         solution = self._solver.solve(point.target, previous, self._method, allowed, self._proceed)
         if not solution.within_tolerance:
-            raise out_of_reach(point, solution)
+            raise out_of_reach(point, self._solver.explained(solution, point.target, previous))
         try:
             return self._planner.transition(point, previous, solution, with_deviation)
         except Blocked as blocked:
@@ -151,6 +151,17 @@ def out_of_reach(point: TrajectoryPoint, nearest: Solution) -> Refusal:
         turned, found = "", f"the nearest point found is ({tip}), {away}"
     if bias is not None and bias.any():
         found += f"; the tip bias is ({', '.join(f'{x:.4f}' for x in bias)})"
+    if nearest.obstacle is not None:
+        return Refusal(Reason.GOAL_IN_OBSTACLE, where=point.place, collision=f"({wanted}) {nearest.reach}")
+    if nearest.collision is not None:
+        return Refusal(
+            Reason.ONLY_BY_COLLISION,
+            where=point.place,
+            position=wanted,
+            reach=nearest.reach,
+            turned=turned,
+            nearest=found,
+        )
     if nearest.certificate == "unreachable":
         return Refusal(Reason.OUT_OF_REACH, where=point.place, position=wanted, turned=turned, nearest=found)
     return Refusal(Reason.NOT_FOUND, where=point.place, position=wanted, turned=turned, nearest=found)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.motion.trajectory import Trajectory
+from hyperbit.controller.refusals.refusal import leg, nth_waypoint
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.search.target import SearchTarget
 
@@ -43,10 +44,10 @@ class TrajectoryPoint:
     @property
     def place(self) -> str:
         """The name of the point in messages."""
-        waypoint = self.trajectory.last(self.index)
+        last = self.trajectory.last(self.index)
         if self.between:
-            return f"waypoints[{waypoint}] to waypoints[{waypoint + 1}]"
-        return f"waypoints[{waypoint}].{'position' if self.states is None else 'configuration'}"
+            return leg(last)
+        return nth_waypoint(last, "position" if self.states is None else "configuration")
 
 
 class TrajectoryPoints:

@@ -17,7 +17,7 @@ from hyperbit.controller.obstacles.distance import Index
 from hyperbit.controller.obstacles.keep_out import KeepOutSet
 from hyperbit.controller.obstacles.sweep import Sweep, sweep_of
 from hyperbit.controller.refusals.reasons import Reason
-from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.refusals.refusal import Refusal, leg, nth_waypoint
 from hyperbit.controller.search.solution import Solution
 from hyperbit.controller.search.solver import Solver
 
@@ -101,8 +101,8 @@ class TransitionPlanner:
         """Returns the refusal of a point for which the time is too short; `available` is in seconds."""
         trajectory, number = self.trajectory, self.trajectory.next(point.index)
         if number == 0:
-            return Refusal(Reason.TIME_TOO_SHORT, where="waypoints[0]", available=available, needed=needed)
-        where = f"waypoints[{number - 1}] to waypoints[{number}]"
+            return Refusal(Reason.TIME_TOO_SHORT, where=nth_waypoint(0), available=available, needed=needed)
+        where = leg(number - 1)
         parts = int(trajectory.waypoints[number] - trajectory.waypoints[number - 1])
         if parts > 1:
             where += f", one of {parts} parts"

@@ -65,6 +65,10 @@ class Pace:
         """Time between two waypoints that suffices for any number of switches [s]; more time changes nothing."""
         return self.rest + self.lead * (1 if self.inrush is None else MOST_STAGES)
 
+    def ample(self, actuators: int) -> float:
+        """Returns a time between two waypoints that suffices for each switch of an arm without obstacles [s]."""
+        return max(self.unhurried, self.needed(actuators))
+
     def needed(self, switches: int) -> float:
         """Returns the least time between two waypoints for a number of switches [s]."""
         return self.rest + self.lead * max(self.fewest(switches), 1)

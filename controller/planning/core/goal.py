@@ -24,7 +24,7 @@ from hyperbit.controller.planning.core.parts import Parts, Ticket
 from hyperbit.controller.planning.core.tasks import Basis, Planned
 from hyperbit.controller.program import Ended, Program, Settled
 from hyperbit.controller.refusals.reasons import Reason
-from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.refusals.refusal import Refusal, nth_waypoint
 
 if TYPE_CHECKING:
     from hyperbit.controller.manipulator.manipulator import Manipulator
@@ -121,7 +121,7 @@ class GoalReport:
         if error is not None and error <= tolerance:
             return None
         away = "unknown" if error is None else f"{error:.4f} from the moving target"
-        at = f"after waypoints[{trajectory.last(point)}] the measured tip is {away}"
+        at = f"after {nth_waypoint(trajectory.last(point))} the measured tip is {away}"
         return f"{at}, path_tolerance {trajectory.path_tolerance:g}"
 
     def _asked(self, point: int) -> Payload:

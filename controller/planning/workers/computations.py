@@ -287,7 +287,7 @@ def describe(model: ArmModel, task: tasks.DescribePlan, proceed: Proceed, hurry:
     if model.arm.settings.method == MINIMUM_SWITCH:
         left = WHOLE_TIME if message.deadline is None else began + message.deadline - clock.now()
         found = look_ahead(planner, found, previous, left, hurry)
-    fields = describe_plan(model.arm.manipulator, reduced, previous, found)
+    fields = describe_plan(model.arm.manipulator, reduced, previous, found, model.pace)
     return tasks.Described({**done(fields.pop("message")), **fields})
 
 

@@ -32,22 +32,22 @@ def scheduled(manipulator: Manipulator | None, *waypoints: dict[str, Any], **fie
 @pytest.mark.parametrize(
     ("waypoint", "fields", "sentence"),
     [
-        ({}, {}, r"waypoints\[0\]\.position: required, but missing; a `configuration` may"),
+        ({}, {}, r"waypoint 1, position: required, but missing; a `configuration` may"),
         (
             {"configuration": FIRST, "position": [0.5, 2.9]},
             {},
-            r"waypoints\[0\]\.position: a configuration already determines",
+            r"waypoint 1, position: a configuration already determines",
         ),
         (
             {"configuration": FIRST, "orientation": 0.1},
             {},
-            r"waypoints\[0\]\.orientation: a configuration already determines",
+            r"waypoint 1, orientation: a configuration already determines",
         ),
-        ({"configuration": FIRST}, {"path_tolerance": 0.1}, r"waypoints\[0\]\.configuration: lines are followed by"),
-        ({"configuration": "46"}, {}, r"waypoints\[0\]\.configuration: .* has 2 modules, the arm has 16"),
-        ({"configuration": "9" * 16}, {}, r"waypoints\[0\]\.configuration: .* module 1 has states 0 to 7, not 9"),
-        ({"configuration": "x" * 90_000}, {}, r"waypoints\[0\]\.configuration: configuration 'x+$"),
-        ({"configuration": 46}, {}, r"waypoints\[0\]\.configuration: Expected `str \| null`"),
+        ({"configuration": FIRST}, {"path_tolerance": 0.1}, r"waypoint 1, configuration: lines are followed by"),
+        ({"configuration": "46"}, {}, r"waypoint 1, configuration: .* has 2 modules, the arm has 16"),
+        ({"configuration": "9" * 16}, {}, r"waypoint 1, configuration: .* module 1 has states 0 to 7, not 9"),
+        ({"configuration": "x" * 90_000}, {}, r"waypoint 1, configuration: configuration 'x+$"),
+        ({"configuration": 46}, {}, r"waypoint 1, configuration: Expected `str \| null`"),
     ],
 )
 def test_an_invalid_waypoint_is_refused_by_field(
@@ -59,7 +59,7 @@ def test_an_invalid_waypoint_is_refused_by_field(
 
 
 def test_a_planner_without_the_arm_refuses_configurations() -> None:
-    with pytest.raises(Refusal, match=r"waypoints\[0\]\.configuration: only positions are accepted here"):
+    with pytest.raises(Refusal, match=r"waypoint 1, configuration: only positions are accepted here"):
         scheduled(None, {"configuration": FIRST})
 
 
@@ -103,7 +103,7 @@ def test_a_configuration_that_a_locked_actuator_rules_out_is_refused(arm: Arm, d
     reduced = Solver(lock_actuators(whole, locked), densities)
     start = reduced.manipulator.configuration(np.where(locked < 0, 0, locked))
     words = f"module 1 has no state in which left is {('contracted', 'extended')[states[0]]}"
-    with pytest.raises(Refusal, match=rf"waypoints\[0\]\.configuration: a locked actuator: {words}$"):
+    with pytest.raises(Refusal, match=rf"waypoint 1, configuration: a locked actuator: {words}$"):
         PointByPoint(TransitionPlanner(reduced, goal), "minimum-switch").plan(start)
     locked[0] = states[0]
     reduced = Solver(lock_actuators(whole, locked), densities)

@@ -78,7 +78,7 @@ def test_out_of_reach_names_waypoint_nearest_point_and_distance(solver: Solver, 
         planned(solver, trajectory(POINTS[0], (9, 9.5)), "ipop-previous")
     assert caught.value.code == GOAL_TOLERANCE_VIOLATED
     form = (
-        r"waypoints\[1\]\.position: \(9, 9\.5\) seems out of reach; the nearest point found is \((\S+), (\S+)\),"
+        r"waypoint 2, position: \(9, 9\.5\) seems out of reach; the nearest point found is \((\S+), (\S+)\),"
         r" (\S+) away, tolerance 0\.002"
     )
     match = re.fullmatch(form, str(caught.value))

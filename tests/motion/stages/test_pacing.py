@@ -72,7 +72,7 @@ def test_a_goal_too_fast_is_refused_naming_the_pair(solver, manipulator):
     with pytest.raises(Refusal) as caught:
         PointByPoint(TransitionPlanner(solver, fast, Pace(LEAD, 1)), "ipop-previous").plan(ZERO.repeat(4))
     assert caught.value.code == INVALID_GOAL
-    assert str(caught.value).startswith("waypoints[0] to waypoints[1]: 0.1 s, ")
+    assert str(caught.value).startswith("waypoint 1 to 2: 0.1 s, ")
     slow = replace(fast, times=np.array([0.0, 5.0]))
     found = PointByPoint(TransitionPlanner(solver, slow, Pace(LEAD, 1)), "ipop-previous").plan(ZERO.repeat(4))
     assert [len(t.stages) for t in found.transitions] == [s.switches for s in found.solutions]

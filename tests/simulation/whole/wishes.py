@@ -122,7 +122,7 @@ class Wishes:
             ("goal", {"waypoints": [{"t": 1.0}]}, ("no-destination",)),
             ("goal", {"waypoints": [{"position": [0.1, 0.1, 0.1]}]}, ("wrong-dimension",)),
             ("goal", {"waypoints": [{"position": position, "configuration": row}]}, ("two-destinations",)),
-            ("goal", {"waypoints": [{"position": position}, {"position": position}]}, ("times-not-increasing",)),
+            ("goal", {"waypoints": 2 * [{"position": position, "t": 1.0}]}, ("times-not-increasing",)),
             ("goal", {"waypoints": [{"position": [1e3, 0.0]}]}, ("beyond-length",)),
             ("goal", {"waypoints": [{"position": position}], "speed": 1}, ("invalid-fields",)),
             ("plan", {"waypoints": [{"position": [1e3, 0.0]}]}, ("beyond-length",)),

@@ -143,6 +143,6 @@ function tell(listener, message) {
 
 // The message of an answer, and the advice if the request was refused. The points have the numbers of the picture.
 export function inWords({ message, advice }) {
-  const numbered = String(message).replace(/waypoints\[(\d+)\](\.\w+)*/g, (_, k) => `point ${Number(k) + 1}`);
+  const numbered = String(message).replace(/\bwaypoint (\d+)(, \w+(?=:))?/g, "point $1");
   return advice ? `${numbered} → ${advice}` : numbered;
 }

@@ -26,7 +26,7 @@ export function showGoal(connection, editor, notify) {
   const answer = document.getElementById("answer"); // the same below the picture on a large screen
   const pace = el("b", {}); // the progress in a line
   const bar = el("div", { class: "go-bar" }, el("span", { class: "brief" }, pace, brief), go);
-  const upload = el("input", { type: "file", accept: ".json,.yaml,.yml", id: "upload" });
+  const upload = el("input", { type: "file", accept: ".csv,.json,.yaml,.yml", id: "upload" });
   const progress = showProgress(connection, pace);
   card.append(
     progress,
@@ -101,7 +101,7 @@ export function showGoal(connection, editor, notify) {
   });
 
   async function openFile(file) {
-    await editor.open({ do: "file", text: await file.text() });
+    await editor.open({ do: "file", text: await file.text(), name: file.name });
   }
   editor.on(describe);
   connection.on("you", describe);
