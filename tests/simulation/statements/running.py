@@ -17,7 +17,7 @@ DIAGNOSED = 1.3  # [s] between two diagnostics
 MODES = {  # those that may follow
     "starting": ("ready", "fault", "stopped"),
     "ready": ("executing", "fault", "stopped", "starting"),
-    "executing": ("ready", "fault", "stopped"),
+    "executing": ("ready", "fault", "stopped", "starting"),  # starting: a commissioner goes during a trial
     "fault": ("starting", "stopped"),
     "stopped": ("starting",),
 }
