@@ -14,6 +14,7 @@ from hyperbit.controller.armfile.goal_files import parse_goal_file
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.network.client import Unanswered
 from hyperbit.controller.panel.arms.arm_view import ArmView
+from hyperbit.controller.panel.arms.faults import on_page
 from hyperbit.controller.panel.arms.pages import Page, RateLimit
 from hyperbit.controller.panel.requests import (
     AgainRequest,
@@ -122,7 +123,7 @@ class ArmPage:
         except Exception:
             log.exception("arm %s: a request failed", self._view.name)
             answer = {"accepted": False, "message": "internal error, see the panel's journal"}
-        advised = {"advice": advice(answer["reason"], self._view.name)} if "reason" in answer else {}
+        advised = {"advice": on_page(advice(answer["reason"], self._view.name))} if "reason" in answer else {}
         self._page.reply(encoded({"section": "reply", "n": request.n, **answer, **advised}))
 
     async def _carry_out(self, request: PageRequest) -> Message:

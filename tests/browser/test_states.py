@@ -107,6 +107,8 @@ def test_a_goal_that_cannot_be_planned_does_not_go(trouble: Trouble, driver: obj
         shown.press_named(".tools button", "Curve")
         shown.press_named("#goal .fields button", "Add a point")
         shown.says("#answer", "✗ point 1 to 2: 0.6 s")
+        asked = trouble.daemon.asked[-1][1]["waypoints"]
+        assert [set(waypoint) for waypoint in asked] == [{"position"}] * 2, "the planner chooses the times"
     finally:
         trouble.daemon.answer = accepted
 

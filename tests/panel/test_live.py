@@ -151,7 +151,7 @@ def test_a_file_is_read_strictly(site: Site) -> None:
 def test_a_refusal_is_shown_with_its_advice(site: Site) -> None:
     page, refused = site.open(), {"accepted": False, "code": -1, "message": "the arm is stopped: because"}
     site.daemon.answer = {**refused, "reason": "arm-stopped"}
-    assert page.ask("reset")["advice"] == f"leave the stop by: hyperbit reset {ARM}"
+    assert page.ask("reset")["advice"] == "leave the stop by: hold Reset"
     site.daemon.answer = {**refused, "reason": "of-a-newer-daemon"}
     assert page.ask("reset")["advice"] == ""
     site.daemon.answer = refused  # of an older daemon

@@ -36,9 +36,7 @@ from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.one_fault import one_fault
 from tests.simulation.whole.planned_arms import draw_planned_arm
 
-ROUNDS = (
-    ("one fault",) * 5 + ("requests",) * 3 + ("commission",) * 3 + ("trouble",)
-)  # of worlds with a scripted planner
+ROUNDS = ("one fault",) * 5 + ("requests",) * 3 + ("commission", "end", "trouble")  # of worlds with a scripted planner
 WHOLE_TROUBLED = 0.9  # share of the rounds of a whole daemon that have a time with many faults
 PEACEFUL = 0.2  # share of the worlds with the whole daemon that have no trouble
 FILES = 0.9  # share of the arms that are written to a file and read
@@ -113,6 +111,7 @@ class World(StruckWorld):
         self.sight = Sight(arm.wiring, arm.timing, self.boards, variants)
         self.trouble = Trouble(self, drawn("trouble"), seed)
         self.single_faults = SingleFaults(self, drawn("single faults"), seed, only)
+        self._ends = SingleFaults(self, drawn("ends"), seed, "executor ends")
         self._rounds = ("one fault",) if only else ROUNDS
         self._random = drawn("periods")
         self._peaceful = whole and drawn("peace").random() < PEACEFUL
@@ -132,9 +131,10 @@ class World(StruckWorld):
             self.agenda.end = math.inf
 
     def _scripted_round(self, kind: str) -> None:
-        self._let_strangers_stop(kind != "one fault")
-        if kind == "one fault":
-            self.single_faults.happen()
+        alone = {"one fault": self.single_faults, "end": self._ends}.get(kind)
+        self._let_strangers_stop(alone is None)
+        if alone is not None:
+            alone.happen()
             return
         self.planner.be_calm(False)
         if kind == "commission" and isinstance(self.planner, ScriptedPlanner):

@@ -1,5 +1,6 @@
 """Advice for each fault, by its code; and one advice for each board."""
 
+import re
 from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import Any, NamedTuple
@@ -99,7 +100,24 @@ ADVICE = {
     ),
     "degraded": FaultAdvice("The arm works without this actuator. Unlock it after the repair.", After.NOTHING),
 }
+COMMAND = re.compile(r"(?<=: )hyperbit ([a-z]+).*")
+ACTIONS = {  # what the page has in place of a command, with which an advice ends
+    "cancel": "press Hold now",
+    "fault": "the card Play a fault",
+    "jog": "the card Actuators",
+    "lock": "the card Actuators",
+    "obstacles": "the card Obstacles",
+    "poses": "Named poses in the card Goal",
+    "reset": "hold Reset",
+    "watch": "the card Faults",
+    "workspace": "the shaded region of the picture",
+}
 UNKNOWN = FaultAdvice("See the journal: journalctl -u 'hyperbit*'.", After.NOTHING)
+
+
+def on_page(advice: str) -> str:
+    """Returns an advice with the page's own action in place of a command, if the page has one."""
+    return COMMAND.sub(lambda found: ACTIONS.get(found[1], found[0]), advice)
 
 
 def advised(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 
 from hyperbit.controller.executor.core.modes import CLEARING
 from hyperbit.controller.panel.access.people import Person
-from hyperbit.controller.panel.arms.faults import ADVICE, After, advised
+from hyperbit.controller.panel.arms.faults import ACTIONS, ADVICE, COMMAND, After, advised, on_page
 from hyperbit.controller.panel.arms.heartbeats import KEPT, LONGEST, Heartbeats
 from hyperbit.controller.panel.arms.pages import Page, RateLimit
 from hyperbit.controller.panel.log_limit import MOST_LINES, WITHIN, LogLimit
+from hyperbit.controller.refusals.reasons import Reason, advice
 from tests.clock import Clock
 
 
@@ -131,6 +132,12 @@ def test_the_faults_that_end_by_themselves_are_those_of_the_executor() -> None:
 def test_a_fault_that_needs_a_reset_says_so() -> None:
     faults = advised([{"code": code, "source": "can0/3"} for code in ("board-rebooted", "board-lost", "degraded")])
     assert [fault["reset"] for fault in faults] == [True, False, False]
+
+
+def test_an_advice_names_what_the_page_can_do() -> None:
+    named = {found[1] for reason in Reason if (found := COMMAND.search(reason.advice))}
+    assert named - set(ACTIONS) == {"calibrate", "run"}, "only a shell has these"
+    assert on_page(advice("unknown-state", "a")) == "switch single actuators: the card Actuators"
 
 
 def test_a_flood_writes_few_lines_and_hides_no_other_line() -> None:

@@ -108,7 +108,8 @@ class AStopIsABarrier(Statement):
 class CoilsEndInTime(Statement):
     """Never are both coils on; a pulse ends two periods late at most, while its board hears the executor.
 
-    One period is until the next tick, the other one for a commit under way. A pulse may be told as overdue instead.
+    One period is until the next tick, the other one for a commit under way. A pulse may be told as overdue instead. A boot
+    after that tells so again only if it fails.
     """
 
     number = 7
@@ -117,6 +118,7 @@ class CoilsEndInTime(Statement):
         super().__init__(account)
         self._since: dict[int, float] = {}  # when a coil of each actuator came on [s]
         self._away: dict[int, float] = {}  # time since then in which the executor could not end it [s]
+        self._told = set[int]()  # those that were on when an overdue pulse was told
         self._looked_at = 0.0
 
     @property
@@ -131,6 +133,7 @@ class CoilsEndInTime(Statement):
         for k in of_bus:
             if not coils.on >> k & 1:
                 self._since.pop(k, None)
+                self._told.discard(k)
             if coils.came >> k & 1:
                 self._since[k], self._away[k] = self.account.now, 0.0
 
@@ -140,7 +143,10 @@ class CoilsEndInTime(Statement):
         for k, since in self._since.items():
             if k not in pulses:
                 continue
-            if not account.booted or not account.world.reaches(k) or self._overdue:
+            if self._overdue:
+                self._told.add(k)
+            booting = k in self._told and account.mode == "starting"
+            if not account.booted or not account.world.reaches(k) or self._overdue or booting:
                 self._away[k] += passed
             late = account.now - since - pulses[k] - self._away[k]
             longest = 2 * TICK + LONGER * (account.pins.missed >> k & 1)

@@ -10,7 +10,7 @@ export class Editor {
     this.file = null; // uploaded goal, used instead of the points
     this.tolerance = null;
     this.pathTolerance = null;
-    this.step = 0.5; // [s] between waypoints
+    this.step = null; // [s] between waypoints; null: as long as the arm needs at most
     this.plan = null; // the latest answer
     this.planning = false;
     this.plannedFrom = null; // situation of the arm when the plan was requested
@@ -73,7 +73,7 @@ export class Editor {
     const lines = this.pathTolerance !== null && this.points.length > 1;
     const waypoints = this.points.map(({ position, orientation }, k) => ({
       position,
-      t: Number((k * this.step).toFixed(6)),
+      ...(this.step === null ? {} : { t: Number((k * this.step).toFixed(6)) }),
       ...(orientation === null || lines ? {} : { orientation }),
     }));
     return {

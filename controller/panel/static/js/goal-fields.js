@@ -27,7 +27,7 @@ export function showFields(editor, arm) {
   }, { placeholder: "any", digits: 2 }));
   const free = el("button", { type: "button", onclick: () => editor.change(last(), { orientation: null }) }, "Any orientation");
   const tolerance = numberField("tolerance", (value) => editor.set({ tolerance: value }), { placeholder: String(arm.tolerance?.position ?? ""), min: 0 });
-  const step = numberField("step [s]", (value) => value > 0 && editor.set({ step: value }), { min: 0 });
+  const step = numberField("step [s]", (value) => editor.set({ step: value > 0 ? value : null }), { placeholder: "as needed", min: 0 });
   const path = numberField("line tolerance", (value) => editor.set({ pathTolerance: value }), { placeholder: "off", min: 0 });
   const remove = el("button", { type: "button", onclick: () => editor.removeLast() });
   const add = el("button", { type: "button", onclick: () => editor.add([...editor.points[last()].position]) }, "Add a point");
@@ -46,7 +46,7 @@ export function showFields(editor, arm) {
       turns.forEach((field, k) => field.set((angles[k] = shown[k] === null ? null : shown[k] / DEGREE)));
     }
     tolerance.set(editor.tolerance);
-    if (!step.contains(document.activeElement)) step.set(editor.step); // an empty step changes nothing
+    if (!step.contains(document.activeElement)) step.set(editor.step);
     path.set(editor.pathTolerance);
     orientation.hidden = arm.dimension !== 2 || !point;
     for (const field of turns) field.hidden = arm.dimension !== 3 || !point;

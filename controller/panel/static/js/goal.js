@@ -53,7 +53,6 @@ export function showGoal(connection, editor, notify) {
       fields?.remove();
       fields = showFields(editor, description);
       card.querySelector("h2").after(fields);
-      editor.step = Math.max(0.3, Number((1.5 * description.travel_time + (description.rest_time ?? 0)).toFixed(3)));
     }
     arm = description;
     describe();
