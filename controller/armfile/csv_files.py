@@ -42,8 +42,8 @@ def csv_rows(path: Path, most: int = MOST_STREAMED) -> Iterator[CsvRow]:
     """
     try:
         file = open_file(path, most)
-    except OSError as error:
-        raise InputFaults(path, [f"cannot be read: {error.strerror}"]) from None
+    except (OSError, ValueError) as error:
+        raise InputFaults(path, [f"cannot be read: {getattr(error, 'strerror', None) or error}"]) from None
     # spreadsheets write a byte order mark
     with io.TextIOWrapper(file, newline="", encoding="utf-8-sig") as text:
         yield from rows_of(path, text)

@@ -45,7 +45,7 @@ def solve(points: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> Iterator
     goal = hb.Goal(points[0], orientation=np.float32(0.1), tolerance=np.float64(0.01))
     found: hb.Solution = ik.solve(goal, start=arm.home, method=method, effort=np.int64(20))
     certificate: hb.Certificate = found.certificate
-    many: list[hb.Solution] = ik.solve_many(points, start=found)
+    many: list[hb.Solution] = ik.solve_many([*points, *hb.read_goals("goals.csv")], start=found)
     path: hb.Path = ik.follow(points, path_tolerance=np.float32(0.1))
     hb.plot(arm, path, title=certificate).savefig("path.png")
     density: hb.Density = arm.density()

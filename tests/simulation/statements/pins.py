@@ -108,8 +108,8 @@ class AStopIsABarrier(Statement):
 class CoilsEndInTime(Statement):
     """Never are both coils on; a pulse ends two periods late at most, while its board hears the executor.
 
-    One period is until the next tick, the other one for a commit under way. A pulse may be told as overdue instead. A boot
-    after that tells so again only if it fails.
+    One period is until the next tick, the other one for a commit under way. A pulse may be told as overdue instead. A
+    boot after that tells so again only if it fails.
     """
 
     number = 7
