@@ -40,7 +40,7 @@ def test_a_module_has_its_defaults_in_each_unit(tmp_path: Path) -> None:
     assert lengths["in"] * 25.4 == pytest.approx(lengths["mm"], rel=1e-3)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=20)
 @given(
     st.lists(st.sampled_from(sorted(KINDS)), min_size=1, max_size=2, unique=True),
     st.sampled_from(NAMES),
