@@ -120,9 +120,10 @@ def report(file: Path, arm: Arm, fields: dict[str, Any], warnings: list[str], bo
     """Prints the size of a correct arm, the warnings about its file, its summary, and the answers of its boards."""
     from hyperbit.controller.arm.summary import summary_lines
 
+    count = len(named_boards(arm.settings))
     common.console.print(
         f"{file}: arm {arm.settings.name}, {len(arm.manipulator.modules)} modules,"
-        f" {len(arm.manipulator.actuators)} actuators on {len(named_boards(arm.settings))} boards: no fault"
+        f" {len(arm.manipulator.actuators)} actuators on {count} {'board' if count == 1 else 'boards'}: no fault"
     )
     for warning in warnings:
         common.console.print(f"Warning: {warning}", style="yellow")

@@ -164,7 +164,7 @@ def row_of(arm: Arm, options: PlanOptions, point: PointSolution) -> Row:
         line["configuration"],
         shown(line["position"]),
         shown(line["orientation"]),
-        f"[{'green' if found.within_tolerance else 'red'}]{found.error:.5f}{angle}",
+        f"{found.error:.5f}{angle}",
         str(found.switches),
         f"{found.seconds * 1e3 if found.effort is None else found.effort:.2f}",
     ]
