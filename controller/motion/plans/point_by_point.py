@@ -51,9 +51,9 @@ class PointByPoint:
         raises ends the planning.
 
         Raises:
-            Refusal: a point is out of reach (the message gives the nearest one found), no collision-free transition
-                was found, the time is too short, the arm collides in a given configuration or where it stands, or a
-                locked actuator excludes a given configuration.
+            Refusal: a point is out of reach; the message gives the nearest one found. Or no collision-free transition
+                was found, the time is too short, or the arm collides where it stands. Or a given configuration
+                collides, or a locked actuator excludes it.
         """
         if self._solver.clearance is not None and (where := self._solver.clearance.where(previous)) is not None:
             raise Refusal(Reason.ARM_IN_OBSTACLE, collision=where)

@@ -19,7 +19,7 @@ MODES = {  # those that may follow
     "ready": ("executing", "fault", "stopped", "starting"),
     "executing": ("ready", "fault", "stopped", "starting"),  # starting: a commissioner goes during a trial
     "fault": ("starting", "stopped"),
-    "stopped": ("starting",),
+    "stopped": ("starting", "fault"),  # fault: the boot after a reset fails at once
 }
 
 
