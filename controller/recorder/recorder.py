@@ -13,6 +13,7 @@ import msgspec
 
 from hyperbit.controller.armfile.units import METRES_TAKEN
 from hyperbit.controller.decoding.decoding import OTHER_FORM, Unreadable, decode
+from hyperbit.controller.network.faults import ActiveFaults
 from hyperbit.controller.network.listener import Listener, ReceivedMessage
 from hyperbit.controller.network.messages import read
 from hyperbit.controller.pictures.scene import FoxgloveScene
@@ -40,7 +41,7 @@ class EventLog:
 
     def __init__(self) -> None:
         self._mode: tuple[str, str] | None = None
-        self._faults: set[tuple[str, str]] = set()
+        self._faults = ActiveFaults()
 
     def lines(self, key: str, message: Message) -> Iterator[tuple[int, str]]:
         """Yields the log lines of a message, each with its level."""
@@ -65,12 +66,11 @@ class EventLog:
         if mode != self._mode:
             self._mode = mode
             yield (WARNING if mode[0] in ("fault", "stopped") else INFO), f"{mode[0]}: {mode[1]}"
-        faults = {(str(it.get("code")), str(it.get("source"))): it for it in state.get("faults") or ()}
-        for key in faults.keys() - self._faults:
-            yield ERROR, f"{key[0]} at {key[1]}: {faults[key].get('message')}"
-        for code, source in sorted(self._faults - faults.keys()):
+        changes = self._faults.take(state)
+        for (code, source), message in changes.came.items():
+            yield ERROR, f"{code} at {source}: {message}"
+        for code, source in changes.went:
             yield INFO, f"{code} at {source} is gone"
-        self._faults = set(faults)
 
 
 class Limits(NamedTuple):

@@ -11,6 +11,7 @@ from hyperbit.controller.armfile.units import METRES_TAKEN, metres_of
 from hyperbit.controller.decoding.decoding import convert
 from hyperbit.controller.manipulator.described import described, in_metres
 from hyperbit.controller.network.client import Client
+from hyperbit.controller.network.faults import ActiveFaults
 from hyperbit.controller.pictures.scene import FoxgloveScene
 from hyperbit.controller.ros2 import messages
 from hyperbit.controller.ros2.answers import GoalResult, SetpointCounts
@@ -66,7 +67,7 @@ class ArmNode:
         self._state: Mapping[str, Any] = {}
         self._alive = True
         self._refused: int | None = None  # number of set-points that the daemon had refused at the last question
-        self._faults: dict[tuple[str, str], str] = {}
+        self._faults = ActiveFaults()
         self._dropped: dict[str, Counter[str]] = {}
         self._said, self._unsaid = deque[float](maxlen=MOST_SAID), 0
         self._drawn: Any = None
@@ -129,12 +130,12 @@ class ArmNode:
             states, count = state.get(name), len(self._manipulator.actuators)
             if states is not None and len(states) != count:
                 raise ValueError(f"{name}: {len(states)} states of actuators, expected {count}")
-        faults = {(str(it["code"]), str(it["source"])): str(it["message"]) for it in state["faults"]}
-        for key in faults.keys() - self._faults.keys():
-            self.say(ERROR if state["mode"] == "fault" else WARN, f"{key[0]}: {faults[key]}")
-        for code, source in self._faults.keys() - faults.keys():
+        changes = self._faults.take(state)
+        for (code, _), message in changes.came.items():
+            self.say(ERROR if state["mode"] == "fault" else WARN, f"{code}: {message}")
+        for code, source in changes.went:
             self.say(INFO, f"{code} at {source} is over")
-        self._state, self._faults = state, faults
+        self._state = state
 
     def receive_result(self, result: GoalResult) -> None:
         self._goals.receive_result(result)

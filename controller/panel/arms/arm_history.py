@@ -7,6 +7,8 @@ from typing import Any
 
 import msgspec
 
+from hyperbit.controller.network.faults import ActiveFaults
+
 Message = dict[str, Any]
 
 MOST_GOALS, MOST_LINES = 30, 200
@@ -27,7 +29,7 @@ class ArmHistory:
         self.errors: deque[tuple[float, float]] = deque(maxlen=MOST_POINTS)
         self.lateness: deque[tuple[float, float]] = deque(maxlen=MOST_POINTS)
         self._mode = ""
-        self._faults: frozenset[tuple[str, str]] = frozenset()
+        self._faults = ActiveFaults()
 
     def set_clock(self, clock: Callable[[], float]) -> None:
         """Uses the time of a replay from now on, also for earlier messages."""
@@ -128,12 +130,11 @@ class ArmHistory:
             if entry["status"] == SKIPPED and entry["id"] == payload.get("goal"):
                 entry.pop("message")
                 entry["status"] = "running"
-        faults = {(str(fault["code"]), str(fault["source"])): fault for fault in payload.get("faults", ())}
-        for key in faults.keys() - self._faults:
-            self.say(f"{key[0]}: {faults[key]['message']}", "fault" if mode == "fault" else "warning")
-        for code, source in self._faults - faults.keys():
+        changes = self._faults.take(payload)
+        for (code, _), message in changes.came.items():
+            self.say(f"{code}: {message}", "fault" if mode == "fault" else "warning")
+        for code, source in changes.went:
             self.say(f"{code} of {source} is gone")
-        self._faults = frozenset(faults)
         return (len(self.lines), self.lines[-1]["at"] if self.lines else 0.0) != before
 
     def diagnostics(self, payload: Mapping[str, Any]) -> None:

@@ -5,11 +5,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.metadata import version
 from typing import Any, Protocol
 
+from msgspec import UnsetType
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from starlette.requests import Request
 from starlette.responses import Response
 
+from hyperbit.controller.decoding.decoding import convert
+from hyperbit.controller.network.faults import ActiveFaults, active
+from hyperbit.controller.network.messages import Diagnostics, LoopTimes
 from hyperbit.controller.panel.arms.faults import ADVICE
 
 Message = Mapping[str, Any]
@@ -49,17 +53,15 @@ class Counters:
     def __init__(self) -> None:
         self.goals: Counter[tuple[str, str]] = Counter()
         self.faults: Counter[tuple[str, str]] = Counter()
-        self._active: dict[str, set[tuple[str, str]]] = {}
+        self._active: dict[str, ActiveFaults] = {}
 
     def result(self, arm: str, message: Message) -> None:
         count(self.goals, arm, str(message.get("status")))
 
     def state(self, arm: str, message: Message) -> None:
         """Counts the new faults in a payload of `state`."""
-        now = {(str(fault.get("code")), str(fault.get("source"))) for fault in mappings(message.get("faults"))}
-        for code, _ in now - self._active.get(arm, set()):
+        for code, _ in self._active.setdefault(arm, ActiveFaults()).take(message).came:
             count(self.faults, arm, code)
-        self._active[arm] = now
 
     def drop_arm(self, arm: str) -> None:
         self._active.pop(arm, None)
@@ -104,7 +106,7 @@ def of_states(arms: Iterable[Seen]) -> list[Metric]:
     alive = GaugeMetricFamily("hyperbit_alive", "Whether the arm's daemon is there.", labels=["arm"])
     simulated = GaugeMetricFamily("hyperbit_simulated", "Whether the arm's boards are simulated.", labels=["arm"])
     mode = GaugeMetricFamily("hyperbit_mode", "1 for the mode that the arm is in.", labels=["arm", "mode"])
-    active = GaugeMetricFamily("hyperbit_fault_active", "1 for each active fault.", labels=["arm", "code", "source"])
+    faults = GaugeMetricFamily("hyperbit_fault_active", "1 for each active fault.", labels=["arm", "code", "source"])
     locked = GaugeMetricFamily("hyperbit_actuators_locked", "Actuators that are locked.", labels=["arm"])
     for arm in arms:
         alive.add_metric([arm.name], float(arm.alive))
@@ -113,10 +115,10 @@ def of_states(arms: Iterable[Seen]) -> list[Metric]:
         simulated.add_metric([arm.name], float(state.get("simulated") is True))
         for name in MODES:
             mode.add_metric([arm.name, name], float(state.get("mode") == name))
-        for labels in {(str(it.get("code")), str(it.get("source"))) for it in mappings(state.get("faults"))}:
-            active.add_metric([arm.name, *labels], 1.0)
-        locked.add_metric([arm.name], len(mappings(state.get("degraded"))))
-    return [alive, simulated, mode, active, locked]
+        for labels in active(state):
+            faults.add_metric([arm.name, *labels], 1.0)
+        locked.add_metric([arm.name], len(state.get("degraded") or ()))
+    return [alive, simulated, mode, faults, locked]
 
 
 def of_diagnostics(arms: Iterable[Seen]) -> list[Metric]:
@@ -135,32 +137,34 @@ def of_diagnostics(arms: Iterable[Seen]) -> list[Metric]:
     setpoints = CounterMetricFamily("hyperbit_setpoints", "Set-points heard.", labels=["arm", "outcome"])
     waits = CounterMetricFamily("hyperbit_clearance_waits", "Cycles that waited for a clearance.", labels=["arm"])
     for arm in arms:
-        if (latest := arm.diagnostics) is None:
+        if arm.diagnostics is None:
             continue
-        counts, labels = sequence(latest.get("counts")), list(arm.actuators)
-        all_switches.add_metric([arm.name], number(sum(map(number, counts))))
+        latest, labels = convert(arm.diagnostics, Diagnostics), list(arm.actuators)
+        counts = latest.counts or ()
+        if counts:
+            all_switches.add_metric([arm.name], sum(counts))
         if len(counts) == len(labels) <= MOST_ACTUATORS:
             for label, switches in zip(labels, counts, strict=True):
-                per_actuator.add_metric([arm.name, label], number(switches))
-        loop = mapping(latest.get("loop"))
+                per_actuator.add_metric([arm.name, label], switches)
+        loop = latest.loop or LoopTimes()
         for quantile, field in QUANTILES:
-            put(late, [arm.name, quantile], loop.get(field))
-        put(overruns, [arm.name], loop.get("overruns"))
-        for bus in mappings(latest.get("buses")):
-            name = str(bus.get("name"))
-            put(load, [arm.name, name], bus.get("load"))
+            put(late, [arm.name, quantile], getattr(loop, field))
+        put(overruns, [arm.name], loop.overruns)
+        for bus in latest.buses:
+            load.add_metric([arm.name, bus.name], bus.load)
             for direction in ("tx", "rx"):
-                put(frames, [arm.name, name, direction], bus.get(f"{direction}_frames"))
-                put(errors, [arm.name, name, direction], bus.get(f"{direction}_errors"))
-        for board in mappings(latest.get("boards")):
-            name = f"{board.get('bus')}/{board.get('node')}"
-            put(age, [arm.name, name], board.get("heartbeat_age"))
-            up.add_metric([arm.name, name], float(board.get("state") == "operational"))
-        for name, length in mapping(latest.get("queues")).items():
-            put(queue, [arm.name, str(name)], length)
-        for outcome in ("received", "refused"):
-            put(setpoints, [arm.name, outcome], mapping(latest.get("setpoint")).get(outcome))
-        put(waits, [arm.name], latest.get("waits"))
+                frames.add_metric([arm.name, bus.name, direction], getattr(bus, f"{direction}_frames"))
+                errors.add_metric([arm.name, bus.name, direction], getattr(bus, f"{direction}_errors"))
+        for board in latest.boards:
+            name = f"{board.bus}/{board.node}"
+            put(age, [arm.name, name], board.heartbeat_age)
+            up.add_metric([arm.name, name], float(board.state == "operational"))
+        for name, length in (latest.queues or {}).items():
+            queue.add_metric([arm.name, name], length)
+        if latest.setpoint:
+            setpoints.add_metric([arm.name, "received"], latest.setpoint.received)
+            setpoints.add_metric([arm.name, "refused"], latest.setpoint.refused)
+        put(waits, [arm.name], latest.waits)
     families = (per_actuator, all_switches, late, overruns, load, frames, errors, age, up, queue, setpoints, waits)
     return list(families)
 
@@ -171,22 +175,7 @@ def count(counts: Counter[tuple[str, str]], arm: str, kind: str) -> None:
     counts[arm, kind if known else "other"] += 1
 
 
-def put(family: GaugeMetricFamily | CounterMetricFamily, labels: list[str], value: object) -> None:
+def put(family: GaugeMetricFamily | CounterMetricFamily, labels: list[str], value: float | UnsetType | None) -> None:
+    """Adds a figure, unless the daemon does not know it."""
     if isinstance(value, int | float):
-        family.add_metric(labels, float(value))
-
-
-def number(value: object) -> float:
-    return float(value) if isinstance(value, int | float) else 0.0
-
-
-def sequence(value: object) -> list[Any]:
-    return value if isinstance(value, list) else []
-
-
-def mapping(value: object) -> Message:
-    return value if isinstance(value, dict) else {}
-
-
-def mappings(value: object) -> list[Message]:
-    return [it for it in sequence(value) if isinstance(it, dict)]
+        family.add_metric(labels, value)
