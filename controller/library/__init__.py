@@ -3,7 +3,7 @@
 from hyperbit.controller.design.merit import Merit
 from hyperbit.controller.library.arm import Arm
 from hyperbit.controller.library.calibration import Fitted, calibrate
-from hyperbit.controller.library.density import Density
+from hyperbit.controller.library.density import Density, Reach
 from hyperbit.controller.library.design import Design, Designs, Study, design, merit
 from hyperbit.controller.library.errors import (
     ArmError,
@@ -53,6 +53,7 @@ __all__ = [
     "ObstacleError",
     "Path",
     "PathError",
+    "Reach",
     "Solution",
     "Solver",
     "Sphere",

@@ -15,15 +15,14 @@ from hyperbit.controller.arm import arm as config
 from hyperbit.controller.arm.weights import weights_of
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.settings import ArmSettings
-from hyperbit.controller.library.density import Density
-from hyperbit.controller.library.errors import ArmError, ConfigurationError, GoalError, LockError
+from hyperbit.controller.library.chain import Chain
+from hyperbit.controller.library.density import Density, Reach, reach_of
+from hyperbit.controller.library.errors import ArmError, GoalError, LockError
 from hyperbit.controller.library.goals import Number
 from hyperbit.controller.library.modules import Module, build, checked, frame_settings
 from hyperbit.controller.library.obstacles import Obstacle, obstacle_settings
 from hyperbit.controller.library.saving import save_arm
-from hyperbit.controller.manipulator.locked import LockedStates, lock_actuators, transferred
-from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
-from hyperbit.controller.manipulator.notation import format_configuration, parse_configuration
+from hyperbit.controller.manipulator.locked import LockedStates, lock_actuators
 from hyperbit.controller.workspace.cache import default_directory, load_or_map
 from hyperbit.controller.workspace.coverage import Coverage, coverage_of
 from hyperbit.controller.workspace.densities import Densities
@@ -33,7 +32,7 @@ from hyperbit.controller.workspace.orientations import Orientations, orientation
 Array = NDArray[np.float64]
 
 
-class Arm:
+class Arm(Chain):
     """An arm made of modules with two-state actuators.
 
     A configuration is one integer for each module, base first, shape (B,). Lengths have the unit of the arm's
@@ -127,26 +126,6 @@ class Arm:
         return self._arm.settings.unit
 
     @property
-    def dimension(self) -> int:
-        """2 for a planar arm, 3 for a spatial arm."""
-        return self._whole.dimension
-
-    @property
-    def states(self) -> NDArray[np.int64]:
-        """Number of states of each module, shape (B,)."""
-        return self._whole.states.copy()
-
-    @property
-    def actuators(self) -> tuple[str, ...]:
-        """Label of each actuator, "<module>.<name>", modules counted from 1 at the base; length A."""
-        return self._whole.actuators
-
-    @property
-    def length(self) -> float:
-        """Upper bound on the distance of the tip from the base."""
-        return self._whole.length
-
-    @property
     def tolerance(self) -> float:
         """Default position tolerance of goals, a length."""
         return self._arm.tolerance
@@ -166,11 +145,6 @@ class Arm:
         """Locked actuators by label, each "contracted" or "extended"."""
         states = zip(self.actuators, self._locked_states.tolist(), strict=True)
         return {label: STATES[state] for label, state in states if state >= 0}
-
-    @cached_property
-    def home(self) -> Configuration:
-        """First configuration, shape (B,), read-only: state 0 of each module, or its first state that locks allow."""
-        return self._to_whole(np.zeros(len(self._reduced.modules), dtype=np.int64))
 
     def lock(self, states: Mapping[str, str | None]) -> Arm:
         """Returns a copy of the arm with locked actuators; this arm does not change.
@@ -204,86 +178,23 @@ class Arm:
         """
         save_arm(self._arm, self._locked_states, Path(path))
 
-    def frame(self, configuration: ArrayLike | str) -> Array:
-        """Returns the tip's frame in the world, shape (4, 4), of a configuration (B,).
-
-        Raises:
-            ConfigurationError: the arm has no such configuration.
-        """
-        return self._whole.tip(self.parse(configuration))
-
-    def frames(self, configurations: ArrayLike) -> Array:
-        """Returns the tips' frames in the world, shape (n, 4, 4), of configurations (n, B).
-
-        Raises:
-            ConfigurationError: the arm has no such configuration.
-        """
-        rows, states = np.atleast_2d(np.asarray(configurations)), self._whole.states
-        valid = rows.ndim == 2 and rows.shape[1] == len(states) and np.issubdtype(rows.dtype, np.integer)
-        if not valid or ((rows < 0) | (rows >= states)).any():
-            rows = np.array([self.parse(row) for row in rows])  # names the wrong row, or reads text
-        return self._whole.tips(rows)
-
-    def position(self, configuration: ArrayLike | str) -> Array:
-        """Returns the tip's position in the world, shape (dimension,), of a configuration (B,).
-
-        Raises:
-            ConfigurationError: the arm has no such configuration.
-        """
-        return self.frame(configuration)[: self.dimension, 3]
-
-    def actuator_states(self, configuration: ArrayLike | str) -> NDArray[np.uint8]:
-        """Returns the state of each actuator, 0 contracted or 1 extended, shape (A,), of a configuration (B,).
-
-        Raises:
-            ConfigurationError: the arm has no such configuration.
-        """
-        return self._whole.actuator_states(self.parse(configuration))
-
-    def configuration(self, actuator_states: ArrayLike) -> Configuration:
-        """Returns the configuration (B,) of actuator states (A,), 0 contracted or 1 extended.
-
-        Raises:
-            ConfigurationError: no configuration has these states.
-        """
-        try:
-            return self._whole.configuration(actuator_states)
-        except ValueError as error:
-            raise ConfigurationError(str(error)) from None
-
-    def parse(self, configuration: ArrayLike | str) -> Configuration:
-        """Returns a configuration (B,), given as an array or in the text form of `hyperbit plan`.
-
-        Raises:
-            ConfigurationError: the arm has no such configuration.
-        """
-        try:
-            if isinstance(configuration, str):
-                return parse_configuration(self._whole, configuration)
-            given = np.asarray(configuration)
-            if given.shape != self._whole.states.shape or not np.issubdtype(given.dtype, np.integer):
-                count = len(self._whole.states)
-                raise ValueError(f"integers of shape ({count},) are needed, got {given.dtype} of shape {given.shape}")
-            return parse_configuration(self._whole, ",".join(map(str, given.tolist())))
-        except ValueError as error:
-            raise ConfigurationError(str(error)) from None
-
-    def format(self, configuration: ArrayLike | str) -> str:
-        """Returns a configuration (B,) as text: digits, or numbers with commas if a module has more than ten states."""
-        return format_configuration(self._whole, self.parse(configuration))
-
-    def switches(self, first: ArrayLike | str, second: ArrayLike | str) -> int:
-        """Returns the number of actuators that differ between two configurations (B,)."""
-        return self._whole.switches(self.parse(first), self.parse(second))
-
-    def sample(self, count: int, seed: int = 0) -> NDArray[np.int64]:
-        """Returns random configurations with the locked actuator states, shape (count, B); the same for each seed."""
-        drawn = np.random.default_rng(seed).integers(0, self._reduced.states, (count, len(self._reduced.modules)))
-        return np.array([self._to_whole(row) for row in drawn], dtype=np.int64).reshape(count, -1)
-
     def density(self) -> Density:
         """Returns the density of the tip's positions; locked actuators are respected."""
         return Density(self._densities, self._reduced)
+
+    def reach(self, radius: Number | None = None) -> Reach:
+        """Returns the map of positions that the tip reaches, as an array; locked actuators are respected.
+
+        Args:
+            radius: greatest distance of the tip from a reached position; the arm's tolerance if None.
+
+        Raises:
+            GoalError: the radius is not positive.
+        """
+        own = self.tolerance if radius is None else float(radius)
+        if not 0 < own < np.inf:
+            raise GoalError(f"radius: a number above 0 is needed, got {radius!r}")
+        return reach_of(self._densities, self._reduced, own)
 
     def coverage(self, radius: Number | None = None, *, seed: int = 0) -> Coverage:
         """Returns area or volume within a radius of the tips, and redundancy over it; locked actuators are respected.
@@ -333,25 +244,7 @@ class Arm:
         except ValueError as error:
             raise LockError(str(error)) from None
 
-    @property
-    def _whole(self) -> Manipulator:
-        return self._arm.manipulator
-
     @cached_property
     def _densities(self) -> Densities:
         """Densities, computed at first use and stored in the cache folder."""
         return load_or_map(self._reduced, self._arm.pixel, self._arm.level_pixels, default_directory())
-
-    def _to_reduced(self, configuration: ArrayLike | str) -> Configuration:
-        """Returns a configuration (B,) in the numbering of the reduced arm. Raises ConfigurationError if none."""
-        whole = self.parse(configuration)
-        try:
-            return transferred(whole, self._whole, self._reduced)
-        except ValueError as error:
-            raise ConfigurationError(f"as actuators are locked, {error}") from None
-
-    def _to_whole(self, configuration: Configuration) -> Configuration:
-        """Returns a configuration (B,) of the reduced arm in the numbering of the whole arm, read-only."""
-        found = transferred(configuration, self._reduced, self._whole).copy()
-        found.flags.writeable = False
-        return found

@@ -1,6 +1,9 @@
-"""The density of an arm's tip positions as arrays."""
+"""Density and reach of an arm's tip as arrays."""
 
+import math
 from functools import cached_property
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -8,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from hyperbit.controller.library.errors import GoalError
 from hyperbit.controller.manipulator.frames import inverse
 from hyperbit.controller.manipulator.manipulator import Manipulator
-from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.densities import Densities, ball
 
 Array = NDArray[np.float64]
 
@@ -68,3 +71,53 @@ class Density:
         chosen = np.where(inside[..., None], index, 0).astype(np.int64)
         logs = self.log_counts[tuple(np.moveaxis(chosen, -1, 0))]
         return np.asarray(np.where(inside, np.exp(np.minimum(logs, 700.0)), 0.0) / self.pixel**size)
+
+
+class Reach(NamedTuple):
+    """A map of the positions that an arm's tip reaches, in pixels parallel to the axes of the world.
+
+    It comes from the arm's `Density`, and has its errors. Obstacles are not respected.
+
+    Attributes:
+        reached: whether the tip of at least one configuration is expected within the radius of a pixel's centre, shape
+            (ny, nx) for planar arms, (nz, ny, nx) for spatial arms.
+        log10_counts: log10 of the number of configurations in each pixel, minus infinity where there are none, same
+            shape.
+        extent: least x, greatest x, least y, greatest y(, least z, greatest z) of the map, at the edges of its pixels,
+            as matplotlib's `imshow` takes them.
+        pixel: side of a pixel, in the arm's unit of length.
+    """
+
+    reached: NDArray[np.bool_]
+    log10_counts: Array
+    extent: tuple[float, ...]
+    pixel: float
+
+    def __repr__(self) -> str:
+        """Returns the pixels and the extent."""
+        size = " x ".join(map(str, self.reached.shape[::-1]))
+        return f"Reach({size} pixels of {self.pixel:.4g}, {', '.join(f'{edge:.4g}' for edge in self.extent)})"
+
+
+def reach_of(densities: Densities, manipulator: Manipulator, radius: float) -> Reach:
+    """Returns the map of an arm with these densities, with a margin of the radius around it."""
+    from scipy.ndimage import distance_transform_edt  # imported here: the first name of the library loads without it
+
+    size, pixel, level = manipulator.dimension, float(densities.pixels[0]), densities.level(0)
+    turned, moved = manipulator.base[:size, :size], manipulator.base[:size, 3]
+    filled = level >= 0
+    centres = (densities.references[0] + pixel * np.argwhere(filled)[:, ::-1])[:, :size]
+    places = (centres @ turned.T + moved) / pixel
+    first = places.min(axis=0) - math.ceil(radius / pixel) - 1
+    places -= first
+    counts = np.full(np.ceil(places.max(axis=0) + radius / pixel + 2).astype(np.int64)[::-1], -np.inf)
+    for part in product((-0.25, 0.25), repeat=size):  # of a pixel, which may be turned
+        index = np.round(places + turned @ part).astype(np.int64)
+        np.logaddexp.at(counts, tuple(index[:, ::-1].T), level[filled] - size * math.log(2))
+    some = counts > -np.inf
+    if radius < pixel:
+        reached = counts >= math.log(pixel**size / ball(size, radius))
+    else:
+        reached = distance_transform_edt(~some) * pixel <= radius
+    edges = zip(first * pixel - pixel / 2, (first + counts.shape[::-1]) * pixel - pixel / 2, strict=True)
+    return Reach(reached, counts / math.log(10), tuple(float(edge) for pair in edges for edge in pair), pixel)

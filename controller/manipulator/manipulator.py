@@ -71,21 +71,21 @@ class Manipulator:
         return np.asarray(tip(self.base, self.frames, np.require(configuration, np.int64, ("C", "W"))))
 
     def chain(self, configuration: ArrayLike) -> Frame:
-        """Returns the frames F_0 to F_B (B+1, 4, 4) of one configuration (B,)."""
-        chain = [self.base]
-        for i, state in enumerate(np.asarray(configuration)):
-            chain.append(chain[-1] @ self.frames[i, state])
-        return np.array(chain)
+        """Returns the frames F_0 to F_B (..., B+1, 4, 4) of configurations (..., B)."""
+        rows = np.asarray(configuration)
+        chain = [np.broadcast_to(self.base, (*rows.shape[:-1], 4, 4))]
+        for i in range(len(self.modules)):
+            chain.append(chain[-1] @ self.frames[i, rows[..., i]])
+        return np.stack(chain, axis=-3)
 
     def body(self, configuration: ArrayLike) -> NDArray[np.float64]:
-        """Returns the line segments (n, 2, 3) of the arm's structure in the world."""
-        chain = self.chain(configuration)
-        return np.concatenate(
-            [
-                module.body[state] @ frame[:3, :3].T + frame[:3, 3]
-                for module, state, frame in zip(self.modules, np.asarray(configuration), chain, strict=False)
-            ]
-        )
+        """Returns the line segments (..., n, 2, 3) of the arm's structure in the world, of configurations (..., B)."""
+        rows, chain = np.asarray(configuration), self.chain(configuration)
+        parts = list[NDArray[np.float64]]()
+        for i, module in enumerate(self.modules):
+            turned, moved = chain[..., i, None, :3, :3], chain[..., i, None, None, :3, 3]
+            parts.append(module.body[rows[..., i]] @ np.swapaxes(turned, -1, -2) + moved)
+        return np.concatenate(parts, axis=-3)
 
     def actuator_states(self, configuration: ArrayLike) -> NDArray[np.uint8]:
         """Returns the actuator states (..., A) of configurations (..., B)."""

@@ -13,7 +13,7 @@ from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.obstacles.obstacles import Obstacles
 from hyperbit.controller.pictures.orientation_plots import ORANGE, draw_angles, draw_rotations
 from hyperbit.controller.pictures.plots import DARKEST, LIGHTEST, draw_obstacles
-from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.densities import Densities, ball
 from hyperbit.controller.workspace.locked_reach import LockedReach
 from hyperbit.controller.workspace.orientations import Orientations
 
@@ -45,10 +45,9 @@ class Slice(NamedTuple):
 
 def positions_field(densities: Densities, dimension: int, tolerance: float) -> Field:
     """Returns the density of the tip's positions as numbers of configurations within a tolerance."""
-    ball = math.pi * tolerance**2 if dimension == 2 else 4 / 3 * math.pi * tolerance**3
-    values = densities.level(0).astype(float)
-    logs = np.where(values >= 0, values + math.log(ball / densities.pixels[0] ** dimension), -np.inf)
-    return Field("positions", logs / math.log(10), densities.references[0], float(densities.pixels[0]))
+    values, pixel = densities.level(0).astype(float), float(densities.pixels[0])
+    logs = np.where(values >= 0, values + math.log(ball(dimension, tolerance) / pixel**dimension), -np.inf)
+    return Field("positions", logs / math.log(10), densities.references[0], pixel)
 
 
 def locked_field(found: LockedReach, locks: int) -> Field:

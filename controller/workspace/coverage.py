@@ -18,7 +18,7 @@ from hyperbit.controller.manipulator.frames import inverse
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.studies.shares import Run, Spread, alone
 from hyperbit.controller.workspace.cache import default_directory, load_or_map
-from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.densities import Densities, ball
 from hyperbit.controller.workspace.nearby_counts import CountMethod, NearbyCounts
 
 Array = NDArray[np.float64]
@@ -131,7 +131,7 @@ def coverage_of(
     parts = [PositionPart(points[k : k + step], (seed, k)) for k in range(0, len(points), step)]
     logs = np.concatenate(list(spread(job or CountHere(counts), parts)))
     logs_of_all = float(np.log(manipulator.states).sum())
-    log_ball = math.log(math.pi if size == 2 else 4 / 3 * math.pi) + size * math.log(radius)
+    log_ball = math.log(ball(size, radius))
     near, cell_logs = around.at(points)
     log_expected = cell_logs + log_ball - float(np.log(around.side[:size]).sum())
 

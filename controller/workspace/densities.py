@@ -1,5 +1,6 @@
 """Point densities of all intermediate workspaces of a manipulator (section 2.1)."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,3 +45,8 @@ class Densities:
                 inside &= np.roll(some, 1, axis) & np.roll(some, -1, axis)
         z, y, x = np.nonzero((some & ~inside)[1:-1, 1:-1, 1:-1])
         return np.asarray(self.references[0] + self.pixels[0] * np.column_stack((x, y, z)))
+
+
+def ball(dimension: int, radius: float) -> float:
+    """Returns the area of a disc, or the volume of a ball."""
+    return math.pi * radius**2 if dimension == 2 else 4 / 3 * math.pi * radius**3

@@ -33,8 +33,9 @@ def text() -> str:
 
 
 def members(kind: type) -> Iterator[str]:
-    """Yields a row for each public method and property of a class, in the order of the source."""
-    for name, member in vars(kind).items():
+    """Yields a row for each public method and property of a class and of its bases, in the order of the source."""
+    own = [vars(base) for base in kind.__mro__ if base.__module__.startswith("hyperbit.")]
+    for name, member in (pair for each in own for pair in each.items()):
         if name.startswith("_"):
             continue
         if inspect.isfunction(member):

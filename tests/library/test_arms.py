@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 import hyperbit as hb
 from hyperbit.controller.arm import arm as config
@@ -101,6 +102,36 @@ def test_density_of_a_spatial_arm() -> None:
     assert density.origin.shape == (3,)
     assert density.total == pytest.approx(np.log(2**6), rel=0.02)
     assert (density.at(arm.frames(arm.sample(50))[:, :3, 3]) > 0).mean() > 0.8
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+def test_the_map_of_reach_has_the_tips_in_their_places(turn: float) -> None:
+    base = np.eye(4)
+    base[:2, :2], base[:2, 3] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]], (3, 4)
+    arm = hb.Arm([hb.vgt("BC", width=0.2, lengths=(0.2, 0.25), count=4)], base=base, tolerance=0.01)
+    reach, tips = arm.reach(), arm.position(every_configuration(paper_arm(4)))
+    (left, right, bottom, top), (rows, columns) = reach.extent, reach.reached.shape
+    assert (right - left, top - bottom) == pytest.approx((columns * reach.pixel, rows * reach.pixel))
+    assert np.log10((10**reach.log10_counts).sum()) == pytest.approx(4 * np.log10(8), rel=1e-6)
+    x = left + reach.pixel * (np.arange(columns) + 0.5)
+    y = bottom + reach.pixel * (np.arange(rows) + 0.5)
+    centres = np.stack(np.meshgrid(x, y), axis=-1)
+    distance, error = cKDTree(tips).query(centres)[0], 2 * reach.pixel
+    assert not (reach.reached & (distance > arm.tolerance + error)).any()
+    assert reach.reached[distance < arm.tolerance - error].all()
+    assert arm.reach(0.02).reached.sum() > reach.reached.sum() > arm.reach(0.001).reached.sum() > 0
+    assert "Reach(" in repr(reach)
+
+
+def test_the_map_of_reach_of_a_spatial_arm() -> None:
+    turns = [hb.revolute([-0.5, 0.5], axis=axis, link=(0.0, 0.0, 0.2), count=3) for axis in ((1, 0, 0), (0, 1, 0))]
+    arm = hb.Arm(turns, pixel=0.05, base=(1, 2, 3))
+    reach, tips = arm.reach(0.05), arm.position(arm.sample(50))
+    assert len(reach.extent) == 6
+    place = np.floor((tips - reach.extent[::2]) / reach.pixel).astype(int)
+    assert reach.reached[tuple(place[:, ::-1].T)].mean() > 0.8
+    with pytest.raises(hb.GoalError, match="radius"):
+        arm.reach(0)
 
 
 def test_coverage_respects_locked_actuators(arm: hb.Arm) -> None:

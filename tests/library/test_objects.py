@@ -107,6 +107,33 @@ def test_frames_of_many_configurations_are_those_of_each(mixed: hb.Arm) -> None:
         mixed.frames(rows[:, 1:])
 
 
+def test_batches_have_the_rows_of_each(mixed: hb.Arm) -> None:
+    rows, home = mixed.sample(6, seed=2), mixed.home
+    for function in (mixed.position, mixed.module_frames, mixed.outlines, mixed.actuator_states):
+        np.testing.assert_allclose(function(rows), [function(row) for row in rows], atol=1e-12)
+        np.testing.assert_allclose(function([mixed.format(row) for row in rows]), function(rows))
+        assert function(mixed.sample(0)).shape == (0, *function(home).shape)
+    each = [mixed.switches(home, row) for row in rows]
+    assert mixed.switches(home, rows).tolist() == mixed.switches(rows, home).tolist() == each
+    assert mixed.switches(rows, rows).tolist() == [0] * 6
+    with pytest.raises(hb.ConfigurationError, match="6 configurations are needed, got 5"):
+        mixed.switches(rows, rows[1:])
+    with pytest.raises(hb.ConfigurationError, match="one configuration"):
+        mixed.format(rows)
+
+
+def test_frames_and_outlines_lead_from_the_base_to_the_tip(mixed: hb.Arm) -> None:
+    for row in mixed.sample(3):
+        frames, lines, modules = mixed.module_frames(row), mixed.outlines(row), mixed.outline_modules
+        assert frames.shape == (len(mixed.states) + 1, 4, 4)
+        assert lines.shape == (len(modules), 2, mixed.dimension)
+        np.testing.assert_allclose(frames[-1], mixed.frame(row), atol=1e-12)
+        for k in range(len(mixed.states)):
+            own = lines[modules == k].reshape(-1, mixed.dimension)
+            low, high, end = own.min(axis=0), own.max(axis=0), frames[k + 1, : mixed.dimension, 3]
+            assert ((end >= low - 1e-9) & (end <= high + 1e-9)).all(), "the next frame is within the module's lines"
+
+
 def test_the_library_imports_no_plotting_and_no_statistics() -> None:
     code = "import sys, hyperbit; hyperbit.Solver; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)

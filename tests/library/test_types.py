@@ -49,6 +49,8 @@ def solve(points: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> Iterator
     path: hb.Path = ik.follow(points, path_tolerance=np.float32(0.1))
     hb.plot(arm, path, title=certificate).savefig("path.png")
     density: hb.Density = arm.density()
+    reach: hb.Reach = arm.reach(np.float32(0.01))
+    print(reach.extent, arm.position(path.configurations), arm.outlines("0" * 8)[arm.outline_modules == 0])
     fitted: hb.Fitted = hb.calibrate(arm, path.configurations, path.positions)
     worth: hb.Merit = hb.merit(arm, points, weights=np.ones(len(points)), effort=np.int64(10))
     study = hb.Study(lambda width: hb.Arm([hb.vgt(width=width, lengths=(0.2, 0.25))]), {}, points, seed=1)
