@@ -182,11 +182,9 @@ class Snapshot(Message, frozen=True, tag="snapshot"):
     known: States  # 1 where the measured state is known; outputs count as known only if all boards are up
     sensed: States  # 1 where there is an end-stop
     locked: States  # 1 where the actuator is locked
-    locks: Number  # grows with each change of `locked`
     moving: bool  # an actuator may be travelling; for travels that began before the end of a boot see `free_at`
     free_at: Seconds  # time at which the last stage has settled, by travel time [s]
     program: Annotated[int, Meta(ge=-1)]  # number of the running one, -1: none
-    mark: Index  # its last mark reached, -1: none
     stream: Annotated[int, Meta(ge=-1)]  # number of the followed one, -1: none
     faults: Annotated[tuple[Fault, ...], Meta(max_length=100)]  # active faults and warnings
     # 1 where the state is unknown until the next program homes the actuator; `outputs` has a guess

@@ -277,7 +277,7 @@ def degrade(desk: Desk, actuator: int, state: int | None) -> None:
 
 def test_a_locked_actuator_is_unlocked_in_a_state_that_is_no_configuration(joints: tuple[Desk, int]) -> None:
     desk, unused = joints
-    desk.show(outputs=unused | unused << 2, locked=b"\x04", locks=1)
+    desk.show(outputs=unused | unused << 2, locked=b"\x04")
     assert "unknown-state" in [fault["code"] for fault in desk.state()["faults"]]
     degrade(desk, 2, None)
     lock = desk.executor.expect(Lock)
@@ -291,7 +291,7 @@ def test_a_lock_that_leaves_a_module_no_state_is_refused_unless_an_end_stop_deni
     desk, unused = joints
     size, first, second = desk.executor.actuators, unused & 1, unused >> 1
     known = pack(0b1111 & ~homing, size)
-    desk.show(outputs=first, sensed=pack(sensed, size), known=known, homing=pack(homing, size), locked=b"\x01", locks=1)
+    desk.show(outputs=first, sensed=pack(sensed, size), known=known, homing=pack(homing, size), locked=b"\x01")
     assert desk.state()["degraded"] == [{"actuator": desk.arm.manipulator.actuators[0], "state": first}]
     degrade(desk, 1, second)
     if refused:

@@ -17,7 +17,7 @@ class LockedActuators:
     """
 
     def __init__(self, labels: Sequence[str], mask: int = 0, states: int = 0) -> None:
-        self.mask, self.states, self.number = mask, states & mask, 0
+        self.mask, self.states = mask, states & mask
         self.stuck, self._labels = 0, labels
 
     def refusal(self, actuator: int, state: int, measured: int, readable: int) -> Refusal | None:
@@ -63,7 +63,4 @@ class LockedActuators:
         return ((self._labels[k], self.states >> k & 1) for k in indices(self.mask))
 
     def _set(self, mask: int, states: int) -> None:
-        states &= mask
-        if (mask, states) != (self.mask, self.states):
-            self.mask, self.states = mask, states
-            self.number += 1
+        self.mask, self.states = mask, states & mask

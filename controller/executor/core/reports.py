@@ -89,11 +89,9 @@ class Reports:
             homing=pack(homing, size),
             unread=pack(motion.actuation.unproven, size),
             locked=pack(self._locked.mask, size),
-            locks=self._locked.number,
             moving=motion.moving,
             free_at=motion.actuation.free_at,
             program=-1 if execution is None else execution.program.program,
-            mark=-1 if execution is None else execution.mark,
             stream=-1 if stream is None else stream.number,
             faults=tuple(Fault(fault.code, fault.source[:100], cut(fault.message)) for fault in every[:MOST_FAULTS]),
         )

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from hyperbit.controller.host.keeper import KINDS, RefusedFile, ring_paths
-from hyperbit.controller.program import Acknowledge, Answer, Ended, Goodbye, PlayFault, Snapshot, Welcome, pack
+from hyperbit.controller.program import Acknowledge, Answer, Ended, Goodbye, PlayFault, Settled, Snapshot, Welcome, pack
 from hyperbit.controller.refusals.reasons import Reason
 from tests.executor.process.rig import SIZE, Planner, Process
 from tests.simulation.events import replay
@@ -104,7 +104,7 @@ def test_an_ended_executor_gives_its_result_and_counts_go_on(tmp_path: Path) -> 
     executor = Process(tmp_path)
     planner = Planner(executor.socket)
     planner.run(1, 0, context=b"context")
-    planner.wait(Snapshot, lambda message: message.mark == 0)
+    planner.wait(Settled)
     code, _, err = executor.end()
     assert (code, "Traceback" in err) == (0, False)
     ended = planner.wait(Ended)
@@ -136,7 +136,7 @@ def test_all_arms_of_a_computer_are_halted_without_planner_and_zenoh(executor: P
 def test_a_fault_saves_the_events_and_they_are_replayed(executor: Process, tmp_path: Path) -> None:
     planner = Planner(executor.socket)
     planner.run(0b111)
-    planner.wait(Snapshot, lambda message: message.mark == 0)
+    planner.wait(Settled)
     planner.send(PlayFault(1, "error can0/55 2320"))
     assert planner.wait(Answer).message.startswith("'can0/55' is no board: did you mean can0/5? Boards: can0/1, can0/2")
     planner.send(PlayFault(2, "error can0/5 2320"))

@@ -28,7 +28,7 @@ class View(ExecutorView):
 
     def __init__(self, arm: Arm) -> None:
         super().__init__(arm.manipulator, arm.travel_time, pace_of(arm.settings))
-        self._told = Snapshot(0.0, "ready", "holding", 1, NONE, NONE, ALL, ALL, NONE, 0, False, 0.0, -1, -1, -1, ())
+        self._told = Snapshot(0.0, "ready", "holding", 1, NONE, NONE, ALL, ALL, NONE, False, 0.0, -1, -1, ())
         self.show()
 
     def show(self, **changes: Any) -> None:

@@ -127,7 +127,7 @@ def test_faults_are_logged_once_with_their_fields_and_a_level(desk: Desk) -> Non
     assert begun.fields["MESSAGE_ID"] != over.fields["MESSAGE_ID"]
     assert (limits.level, limits.text) == (logging.WARNING, "board-limits: its heartbeat time is rounded")
     desk.lines.clear()
-    desk.show(locked=b"\1", locks=1)  # an operator may want it
+    desk.show(locked=b"\1")  # an operator may want it
     assert [line.level for line in desk.lines if line.text.startswith("degraded")] == [logging.WARNING]
 
 

@@ -85,7 +85,7 @@ def _fields(play: Play, words: list[str]) -> dict[str, Any]:
     for name, word in _pairs(words).items():
         if name in ("mode", "reason"):
             fields[name] = word
-        elif name in ("locks", "epoch"):
+        elif name == "epoch":
             fields[name] = int(word)
         elif name == "moving":
             fields[name] = word == "yes"

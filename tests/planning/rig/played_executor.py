@@ -46,9 +46,7 @@ class PlayedExecutor(ABC):
         self.actuators, self.instance = actuators, 1
         full, none = (1 << actuators) - 1, bytes((actuators + 7) // 8)
         known = pack(full, actuators)
-        self.state = Snapshot(
-            self.now(), "ready", "holding", 1, none, none, known, known, none, 0, False, 0.0, -1, -1, -1, ()
-        )
+        self.state = Snapshot(self.now(), "ready", "holding", 1, none, none, known, known, none, False, 0.0, -1, -1, ())
         self._results = 0
 
     @abstractmethod
