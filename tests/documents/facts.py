@@ -8,7 +8,6 @@ from typing import Any, get_args
 
 import msgspec
 
-import hyperbit
 from hyperbit.controller import cli
 from hyperbit.controller.armfile import modules, settings
 from hyperbit.controller.gateway import outbox, server
@@ -116,7 +115,6 @@ TABLES: dict[str, Callable[[], set[str]]] = {
     "make targets": targets,
     "units": units,
     "arms": shipped_arms,
-    "names of the library": lambda: set(hyperbit.__all__),
 }
 for key in ("answer", "state", "feedback", "result", "diagnostics", "arm"):
     TABLES[f"payload of {key}"] = lambda key=key: payloads()[key]  # type: ignore[misc]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 from collections import defaultdict
 from typing import get_type_hints
 
@@ -10,6 +11,7 @@ import msgspec
 import pytest
 import yaml
 
+import hyperbit
 from tests.documents import facts, page, reference, running
 
 PAGES = page.find()
@@ -124,3 +126,9 @@ def test_the_front_page_names_each_page():
 
 def test_the_reference_of_the_library_is_that_of_its_docstrings():
     assert reference.PATH.read_text() == reference.text(), "python -m tests.documents.reference"
+
+
+def test_each_name_of_the_library_is_on_its_pages():
+    text = reference.PATH.read_text() + reference.PATH.with_name("README.md").read_text()
+    missing = [name for name in hyperbit.__all__ if not re.search(rf"(`|## |hb\.){name}\b", text)]
+    assert not missing
