@@ -88,7 +88,7 @@ class Nursery:
         Args:
             environment: beside the one of this process.
         """
-        eventually(self._path.exists, told=lambda: f"the process that forks commands does not listen at {self._path}")
+        self.wait()
         connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         connection.connect(str(self._path))
         order = json.dumps([arguments, os.getcwd(), os.environ | environment]).encode()
@@ -98,8 +98,13 @@ class Nursery:
             os.close(stream)
         return Process(int(connection.recv(100)), log, connection)
 
+    def wait(self) -> None:
+        """Waits until the process has imported its modules, and takes commands."""
+        eventually(self._path.exists, told=lambda: f"the process that forks commands does not listen at {self._path}")
+
     def script(self) -> str:
         """Returns a program that does what the command does."""
+        self.wait()
         return SCRIPT.format(python=shlex.quote(sys.executable), path=json.dumps(str(self._path)))
 
     def close(self) -> None:
