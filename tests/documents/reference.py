@@ -26,10 +26,17 @@ def text() -> str:
     for name, it in classes.items():
         if name not in errors:
             lines += ["", f"## {name}", "", sentence(it), "", "| name | what it is |", "|---|---|"]
-            lines += [row(name, it.__init__), *members(it)]
+            lines += [created(name, it), *members(it)]
     lines += ["", "## Exceptions", "", "| name | when it is raised |", "|---|---|"]
     lines += [f"| `{name}` | {sentence(it)} |" for name, it in errors.items()]
     return "\n".join(lines) + "\n"
+
+
+def created(name: str, kind: Any) -> str:
+    """Returns the row of how a class is called; of a named tuple, which only functions make, its fields."""
+    if issubclass(kind, tuple):
+        return f"| {', '.join(f'`{field}`' for field in kind._fields)} | Its fields. |"
+    return row(name, kind.__init__)
 
 
 def members(kind: type) -> Iterator[str]:
