@@ -190,7 +190,6 @@ class NumbersNeverFall(Statement):
             case Snapshot():
                 self._grows("snapshot", message.at, strictly=False)
                 self._grows("epoch", message.epoch, strictly=False)
-                self._grows("locks", message.locks, strictly=False)
             case Begun():
                 self._grows(("stage", message.program), message.stage)
                 self._grows(("switches", message.program), message.switches, strictly=False)
