@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import socket
 import threading
 import time
@@ -28,6 +29,7 @@ from hyperbit.controller.program import (
     Malformed,
     Reset,
     Snapshot,
+    Stop,
     Trial,
     Up,
     Welcome,
@@ -39,7 +41,6 @@ T = TypeVar("T")
 
 ANSWER_WITHIN = 5.0  # [s]
 BEGIN_WITHIN = 2.0  # [s] after a key press; a later begin would surprise the person
-MOST_TRAVEL = 65.0  # [s] of an actuator, which may be under way
 ENDED_WITHIN = 10.0  # [s] for the end of a trial, beside the time for which it watches
 
 
@@ -56,7 +57,7 @@ class Commissioner:
         self._gone = ""
         self._heard: list[Up] = []
         self._changed = threading.Condition()
-        self._program = self._request = 0
+        self._program, self._requests = 0, itertools.count(1)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             self._socket.settimeout(ANSWER_WITHIN)
@@ -75,33 +76,56 @@ class Commissioner:
             raise
         self._program = welcome.program
 
+    @property
+    def simulated(self) -> bool:
+        return self._welcome is not None and self._welcome.simulation is not None
+
+    def check(self) -> None:
+        """Raises NoDriver if the executor is gone."""
+        if self._gone:
+            raise NoDriver(self._gone)
+
     def ready(self, timeout: float) -> Snapshot:
-        """Waits until the arm is ready, in fault or stopped; returns its state."""
-        return self._wait(
-            lambda: self.snapshot if self.snapshot and self.snapshot.mode not in ("starting", "executing") else None,
-            timeout,
-            "the arm does not become ready",
-        )
+        """Waits until the arm is at rest, in fault or stopped; returns its state."""
+        return self._wait(self._at_rest, timeout, "the arm does not come to rest")
+
+    def is_ready(self, epoch: int) -> bool:
+        """Returns whether the arm is ready, and nothing has changed its epoch."""
+        return self.snapshot is not None and (self.snapshot.mode, self.snapshot.epoch) == ("ready", epoch)
 
     def reset(self) -> Answer:
-        snapshot = self._wait(lambda: self.snapshot, ANSWER_WITHIN, "the executor tells no state")
-        self._request += 1
-        number, self.snapshot = self._request, None
-        self._send(Reset(number, snapshot.epoch))
-        mine = partial(self._of, Answer, lambda one: one.request == number)
-        answer: Answer = self._wait(mine, ANSWER_WITHIN, "no answer")
+        epoch = self._wait(lambda: self.snapshot, ANSWER_WITHIN, "the executor tells no state").epoch
+        answer = self._request(lambda number: Reset(number, epoch))
+        before = self.snapshot
+        self._wait(lambda: self.snapshot if self.snapshot is not before else None, ANSWER_WITHIN, "no state comes")
         return answer
 
-    def run(self, actuator: int, state: int, watch: float) -> Ended | str:
-        """Tries one actuator when all are at rest; returns the result, or why nothing began.
+    def stop(self) -> Answer:
+        """Stops the arm until a reset. For any thread."""
+        return self._request(Stop)
 
-        An interrupt cancels the trial.
+    def cancel(self, reason: str = "left by the commissioner") -> Answer:
+        """Ends a trial; the arm holds. For any thread."""
+        return self._request(lambda number: Cancel(number, None, reason))
+
+    def _request(self, make: Callable[[int], Down]) -> Answer:
+        number = next(self._requests)
+        self._send(make(number))
+        mine = partial(self._of, Answer, lambda one: one.request == number)
+        answer: Answer = self._wait(mine, ANSWER_WITHIN, "the executor does not answer")
+        return answer
+
+    def run(self, actuator: int, state: int, watch: float, epoch: int, until: float) -> Ended | str:
+        """Tries one actuator; returns the result, or why nothing began.
+
+        Args:
+            epoch: of the state in which a person was asked: what has changed it since, as a stop, bars the trial.
+            until: latest begin [s]. An interrupt cancels the trial.
         """
-        snapshot = self._wait(self._at_rest, MOST_TRAVEL, "the actuators do not come to rest")
         self._program += 1
-        number, until = self._program, time.monotonic() + BEGIN_WITHIN
+        number = self._program
         try:
-            self._send(Trial(number, snapshot.epoch, actuator, state, watch, until))
+            self._send(Trial(number, epoch, actuator, state, watch, until))
             begun: Accepted | Declined = self._wait(
                 lambda: self._of(Accepted | Declined, lambda one: one.program == number), ANSWER_WITHIN, "no answer"
             )
@@ -111,7 +135,8 @@ class Commissioner:
                 lambda: self._of(Ended, lambda one: one.program == number), watch + ENDED_WITHIN, "no result"
             )
         except BaseException:
-            self.cancel()
+            with contextlib.suppress(NoDriver):
+                self._send(Cancel(next(self._requests), None, "left by the commissioner"))
             raise
         self._send(Acknowledge(ended.result))
         return ended
@@ -120,12 +145,7 @@ class Commissioner:
         """Returns the state of an arm in which nothing runs and all travels are over; None before."""
         at = self.snapshot
         moves = at is None or at.mode in ("starting", "executing") or (at.mode == "ready" and at.moving)
-        return None if moves or at is None or at.free_at > time.monotonic() else at
-
-    def cancel(self) -> None:
-        """Ends a trial; the arm holds."""
-        self._request += 1
-        self._send(Cancel(self._request, None, "left by the commissioner"))
+        return None if moves or at is None or (at.mode == "ready" and at.free_at > time.monotonic()) else at
 
     def close(self) -> None:
         self._gone = self._gone or "closed"

@@ -74,7 +74,8 @@ def travel_edit(text: str, root: yaml.Node | None, travel: str) -> Edit:
         return Edit(found[1].start_mark.index, end_of(text, found[1]), travel)
     key, _ = named_entry(root, "actuators") or (None, None)
     begin = 0 if key is None else key.start_mark.index
-    return Edit(begin, begin, f"travel_time: {travel}\n")
+    end = ", " if getattr(root, "flow_style", False) else "\n"  # JSON is YAML in flow style
+    return Edit(begin, begin, f"travel_time: {travel}{end}")
 
 
 def end_of(text: str, node: yaml.Node) -> int:

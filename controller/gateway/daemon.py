@@ -9,23 +9,20 @@ import gc
 import logging
 import math
 import os
-import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-import msgspec
 import numpy as np
 import zenoh
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.arm.warnings import file_warnings
-from hyperbit.controller.decoding.decoding import Unreadable, convert, decode
 from hyperbit.controller.flight_recorder import FlightRecorder, Label
 from hyperbit.controller.gateway.arrivals import RepeatedGoals
+from hyperbit.controller.gateway.claim import Claim
 from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.gateway.server import GatewayParts, Server
@@ -34,7 +31,7 @@ from hyperbit.controller.host.journal import fields_of_fault
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.manipulator.notation import format_configuration
 from hyperbit.controller.network.reach import certificates_of, ending, open_session
-from hyperbit.controller.network.session import LEASE, lease, reachable
+from hyperbit.controller.network.session import lease, reachable
 from hyperbit.controller.planning.core.core import OPAQUE
 from hyperbit.controller.planning.core.events import Recorded
 from hyperbit.controller.planning.ledger import Ledger, PublishedResults, published_path
@@ -55,11 +52,6 @@ RECORDS = 500  # most steps of the core in one recorded block; the loop writes a
 CLOCK_STEP = 0.5  # [s]; a greater jump of the clock was set, not slewed
 CERTIFICATES_EVERY = 3600.0  # [s]
 REMEMBERED = 10.0  # [s] for which a warning stays after its cause
-
-GRACE = 0.5  # [s] for a token to reach all other sessions, also those that were opened a moment ago
-CLAIM_TIMEOUT = LEASE + 2.0  # [s] until the tokens of a killed daemon, or of a lost host, disappear
-ANSWER = 1.0  # [s] for a daemon to answer where it runs
-POLL = 0.1  # [s]
 
 
 class Daemon:
@@ -174,90 +166,3 @@ class Warnings:
             fields = fields_of_fault(fault.code, fault.source)
             log.warning("%s: %s", fault.code, fault.message, extra={"journal": fields})
         self._own[fault.code] = fault, now + REMEMBERED
-
-
-# --- the claim to an arm
-
-
-class AlreadyRunning(Exception):
-    """Another daemon of this arm is in the network; the text says where."""
-
-
-class Claimant(msgspec.Struct):  # the owner of a claim, as it answers
-    host: str
-    pid: int
-    serves: bool = True  # False until the daemon has looked for other claims
-    simulated: bool = False
-
-
-class Claim:
-    """The claim of this process to an arm: the token "hyperbit/<arm>/@claim/<zid>"; a query on it returns the claimant.
-
-    Zenoh does not notify the owner of a liveliness token when another session declares the same one. So each daemon has
-    a token of its own, and looks for the claims of others.
-
-    Of daemons that start together, the one with the lowest id of its session serves. Each looks for the last time when
-    its claim has reached the others. So of two daemons, at least one finds the other.
-    """
-
-    def __init__(self, session: zenoh.Session, arm: str, *, simulated: bool = False) -> None:
-        self._session, self._arm, self._own = session, arm, str(session.zid())
-        self._claimant = Claimant(socket.gethostname(), os.getpid(), serves=False, simulated=simulated)
-        key = f"hyperbit/{arm}/@claim/{self._own}"
-        self._queryable = session.declare_queryable(key, self._answer)  # before the token: others then query it
-        self._token = session.liveliness().declare_token(key)
-        self._declared_at = time.monotonic()
-
-    def confirm(self, timeout: float = CLAIM_TIMEOUT) -> None:
-        """Returns when this process may serve the arm, GRACE after its claim at the earliest.
-
-        A daemon that does not answer may keep its token for `timeout` [s]. Raises AlreadyRunning if another daemon
-        serves the arm, or will.
-        """
-        time.sleep(max(self._declared_at + GRACE - time.monotonic(), 0.0))
-        until = time.monotonic() + timeout
-        while silent := self._silent_tokens():
-            if time.monotonic() > until:
-                what = f"another daemon of the arm {self._arm!r} is in the network, and does not say where it runs"
-                raise AlreadyRunning(f"{what}. Look for its host, end it, or rename this arm ({', '.join(silent)})")
-            time.sleep(POLL)
-        self._claimant.serves = True
-
-    def close(self) -> None:
-        for declared in (self._token, self._queryable):
-            declared.undeclare()  # type: ignore[no-untyped-call]
-
-    def _answer(self, query: zenoh.Query) -> None:
-        with query:
-            query.reply(query.key_expr, msgspec.json.encode(self._claimant))
-
-    def _silent_tokens(self) -> list[str]:
-        """Returns the tokens of daemons that do not answer; raises AlreadyRunning if one serves, or comes first."""
-        silent, prefix = [], f"hyperbit/{self._arm}"
-        replies = [
-            reply
-            for key in ("@claim/*", "alive")  # earlier versions have only "alive"
-            for reply in self._session.liveliness().get(f"{prefix}/{key}", timeout=ANSWER)
-        ]
-        for token in [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]:
-            if (other := token.rpartition("/")[2]) == self._own:
-                continue
-            key = f"{prefix}/arm" if other == "alive" else token
-            answers = list(self._session.get(key, target=zenoh.QueryTarget.ALL, timeout=ANSWER))
-            claimants = [claimant(reply.ok.payload.to_bytes()) for reply in answers if reply.ok is not None]
-            for who in claimants:
-                if who.serves or other < self._own:
-                    boards = ", with simulated boards" if who.simulated else ""
-                    what = f"another daemon drives the arm {self._arm!r}: process {who.pid} on {who.host}{boards}"
-                    raise AlreadyRunning(f"{what}. End it, or rename this arm")
-            if not claimants:
-                silent.append(token)
-        return silent
-
-
-def claimant(answer: bytes) -> Claimant:
-    try:
-        value = decode(answer, dict[str, Any])
-        return convert(value.get("daemon", value), Claimant)
-    except Unreadable:  # of an earlier version
-        return Claimant("a host that it does not name", 0)

@@ -18,6 +18,7 @@ from hyperbit.controller.panel.arms.faults import on_page
 from hyperbit.controller.panel.arms.pages import Page, RateLimit
 from hyperbit.controller.panel.requests import (
     AgainRequest,
+    AnswerRequest,
     CancelRequest,
     ControlRequest,
     FaultRequest,
@@ -142,6 +143,9 @@ class ArmPage:
                 return await self._command(request, "obstacles", {"regions": regions})
             case FaultRequest(fault=fault):
                 return await self._command(request, "fault", {"fault": fault})
+            case AnswerRequest(question=question, answer=key):
+                stamp = (self._view.state or {}).get("stamp", 0.0)  # its sender tells by it how old the answer is
+                return await self._command(request, "answer", {"question": question, "answer": key, "stamp": stamp})
             case PoseRequest(save=save, goal=goal, remove=remove):
                 change = {"save": save, "goal": goal, "remove": remove}
                 answer = await self._command(request, "poses", {k: v for k, v in change.items() if v is not None})

@@ -90,6 +90,13 @@ class AgainRequest(NumberedRequest, tag="again"):
     id: Label
 
 
+class AnswerRequest(NumberedRequest, tag="answer"):
+    """Answer the question of a commission, by its number."""
+
+    question: Number
+    answer: Annotated[str, Meta(max_length=100)]
+
+
 class SeekRequest(NumberedRequest, tag="seek"):
     """Move a replay to a time, set its speed, pause or continue it."""
 
@@ -109,7 +116,14 @@ FreeRequest = (
     | SeekRequest
 )
 ControlRequest = (  # need control, and the number of a recent heartbeat, because each can lead to motion
-    ResetRequest | JogRequest | LockRequest | ObstaclesRequest | FaultRequest | PoseRequest | GoalRequest
+    ResetRequest
+    | JogRequest
+    | LockRequest
+    | ObstaclesRequest
+    | FaultRequest
+    | PoseRequest
+    | GoalRequest
+    | AnswerRequest
 )
 PageRequest = FreeRequest | ControlRequest
 

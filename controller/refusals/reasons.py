@@ -222,6 +222,22 @@ class Reason(enum.Enum):
     INTERNAL_ERROR = "internal-error", "internal error, see the journal", REPORT
     PLANNING_FAILED = "planning-failed", "internal error while planning, see the journal", REPORT
     SHUTTING_DOWN = "shutting-down", "the daemon is shutting down", "send it again to the next daemon"
+    COMMISSIONING = (
+        "commissioning",
+        "the arm is being commissioned, and accepts no {key} until this has ended",
+        "answer the questions of the commission, or leave it by q",
+    )
+    QUESTION_NOT_OPEN = (
+        "question-not-open",
+        "nothing is done: the question is not open, {why}",
+        "read the present question",
+    )
+    NO_ANSWER = "no-answer", "{given} is no answer: {known}"
+    ANSWER_TOO_LATE = (
+        "answer-too-late",
+        "nothing is done: the answer belongs to a state {age} s ago, at most {most} s are accepted",
+        "look at the arm, then answer again",
+    )
     ALREADY_RUNNING = "already-running", "id: goal {goal} is running already; a goal that replaces it needs another id"
     ACTUATOR_LOCKED = (
         "actuator-locked",

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
+import yaml
 from msgspec.structs import replace
 
 from hyperbit.controller.armfile.actuators import read_wired
@@ -22,6 +24,7 @@ BLOCK = (
     HEAD
     + 'actuators:\n  - module: 1\n    actuator: "1"\n    bus: can0\n    node: 1\n    output: 0\n    input: 3  # old\n'
 )
+JSON = json.dumps(yaml.safe_load(FLOW), indent=1)
 OTHER = InputSettings(2, inverted=True, board="can0/9")
 
 
@@ -34,6 +37,7 @@ OTHER = InputSettings(2, inverted=True, board="can0/9")
         (BLOCK, {"input": OTHER}, None, "input: 3", "input: {bit: 2, inverted: true, board: can0/9}"),
         (BLOCK, {"node": 5}, None, "node: 1", "node: 5"),
         (FLOW, {}, "{extend: 1, contract: 2}", "actuators:", "travel_time: {extend: 1, contract: 2}\nactuators:"),
+        (JSON, {}, "{extend: 1, contract: 2}", '"actuators"', 'travel_time: {extend: 1, contract: 2}, "actuators"'),
     ],
 )
 def test_only_the_changed_fields_of_the_text_change(

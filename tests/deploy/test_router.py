@@ -12,7 +12,7 @@ import pytest
 import zenoh
 
 from hyperbit.controller.commands.operate.router import router_config
-from hyperbit.controller.gateway.daemon import AlreadyRunning, Claim
+from hyperbit.controller.gateway.claim import AlreadyRunning, Claim
 from hyperbit.controller.network import session
 from hyperbit.controller.network.fleet import ArmAddress, Fleet, alive
 from hyperbit.controller.network.stop_all import stop_all

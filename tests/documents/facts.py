@@ -49,7 +49,7 @@ def keys() -> set[str]:
 
 def listened() -> set[str]:
     """Returns the keys below PREFIX/<arm>/ on which any part of hyperbit hears or answers others."""
-    return {*keys(), *arms.REPLAY_KEYS, "@claim"}
+    return {*keys(), *arms.REPLAY_KEYS, "@claim", "answer"}
 
 
 def faults() -> set[str]:

@@ -30,7 +30,7 @@ from hyperbit.controller.commands.use.obstacles import print_obstacles
 from hyperbit.controller.commands.use.poses import print_poses
 from hyperbit.controller.commands.use.send import print_result
 from hyperbit.controller.gateway.arrivals import Clocks, RepeatedGoals
-from hyperbit.controller.gateway.daemon import claimant
+from hyperbit.controller.gateway.claim import claimant
 from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.gateway.server import GatewayParts, Server

@@ -9,7 +9,8 @@ from contextlib import ExitStack
 import pytest
 import zenoh
 
-from hyperbit.controller.gateway.daemon import CERTIFICATES_EVERY, REMEMBERED, AlreadyRunning, Claim, Warnings
+from hyperbit.controller.gateway.claim import AlreadyRunning, Claim
+from hyperbit.controller.gateway.daemon import CERTIFICATES_EVERY, REMEMBERED, Warnings
 from hyperbit.controller.network import session
 from hyperbit.controller.program import Fault
 from tests.gateway.conftest import ARM, Gateway

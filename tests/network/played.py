@@ -14,7 +14,7 @@ from tests.endpoints import free_endpoint
 from tests.waiting import PATIENCE
 
 ARM = "planar16"
-KEYS = ("arm", "plan", "goal", "jog", "stop", "cancel", "reset", "degrade", "obstacles", "fault")
+KEYS = ("arm", "plan", "goal", "jog", "stop", "cancel", "reset", "degrade", "obstacles", "fault", "answer")
 
 
 class Router:

@@ -53,6 +53,7 @@ COMMANDS = [
     ("go", {"goal": GOAL}),
     ("file", {"text": "waypoints: []"}),
     ("again", {"id": "g"}),
+    ("answer", {"question": 1, "answer": ""}),
 ]
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
-import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from msgspec.structs import replace
@@ -18,15 +17,22 @@ from hyperbit.controller.armfile.actuators import read_wired
 from hyperbit.controller.armfile.commissioned import Sighting
 from hyperbit.controller.armfile.settings import ArmSettings
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmFile, BoardKinds, Wired
 from hyperbit.controller.commands.common import CommandFailed, console
+from hyperbit.controller.commands.configure.commission_desk import LEAVE, Desk, Left, Withdrawn
 from hyperbit.controller.commands.configure.commission_report import conclude
+from hyperbit.controller.commands.connection import open_zenoh, zenoh_config
 from hyperbit.controller.commands.operate.executor_process import end_child, start_executor
-from hyperbit.controller.commission.driver import Commissioner, NoDriver
+from hyperbit.controller.commission.driver import BEGIN_WITHIN, Commissioner, NoDriver
+from hyperbit.controller.commission.questions import Choice
 from hyperbit.controller.commission.session import Session
 from hyperbit.controller.host.files import read_file
 from hyperbit.controller.host.sockets import socket_path
-from hyperbit.controller.program import MOST_WATCH, unpack
+from hyperbit.controller.program import MOST_WATCH, Snapshot, unpack
+
+if TYPE_CHECKING:
+    import zenoh
 
 ONLY = "Only these actuators, such as 5.left, also if they were tried before. Default: those that were not."
 SIMULATE = "Use simulated boards, inside an executor of this command."
@@ -34,14 +40,16 @@ SOCKET = "Socket of a running executor, or its folder. Default: the arm's; witho
 WATCH = "Time for which the inputs are watched after each command [s]; longer than any travel."
 PLANNER = "end the planner, so that only you move the arm: sudo systemctl stop hyperbit@INSTANCE, or Ctrl-C of `run`"
 STARTED_WITHIN, READY_WITHIN = 20.0, 150.0  # [s]; boards may boot for 120 s
-SEEN = "seen: e extended, c contracted, n nothing, or another one, as 5.left e; a again, q quit"
-LAMPS = "lamps at its valve now: n none, e of extend, c of contract, b both, u unknown"
+LISTEN = "With --page: Zenoh endpoint to accept connections at."
+ZENOH = "With --page: Zenoh configuration file of the daemon, instead of an endpoint."
+PAGE = "Ask on the operator's page, too. A panel that shows the arm of the daemon shows the questions."
+VERBS = ("contract", "extend")
+SEEN = (Choice("e", "extended"), Choice("c", "contracted"), Choice("n", "nothing"), Choice("a", "again"), LEAVE)
+LAMPS = (
+    *(Choice("n", "none"), Choice("e", "of extend"), Choice("c", "of contract"), Choice("b", "both")),
+    *(Choice("u", "unknown"), LEAVE),
+)
 LIT = {"n": (0, 0), "e": (1, 0), "c": (0, 1), "b": (1, 1), "u": None}
-ENDS = {"e": 1, "extended": 1, "c": 0, "contracted": 0}
-
-
-class Left(Exception):
-    """The person leaves; the arm holds."""
 
 
 def commission(
@@ -52,6 +60,9 @@ def commission(
     wired: Wired = None,
     socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
     watch: Annotated[float, typer.Option(min=0.1, max=MOST_WATCH, help=WATCH)] = 1.0,
+    page: Annotated[bool, typer.Option("--page", help=PAGE)] = False,
+    listen: Annotated[str, typer.Option(help=LISTEN)] = ENDPOINT,
+    zenoh_file: Annotated[Path | None, typer.Option("--zenoh", help=ZENOH, show_default=False)] = None,
 ) -> None:
     """Move each actuator there and back, one key press a motion; ask what was seen; propose the right wiring.
 
@@ -71,17 +82,42 @@ def commission(
     except OSError as error:
         raise InputFaults(session.path, [f"cannot be written: {error.strerror}; it keeps each answer"]) from None
     words = [*(f"--board={word}" for word in board), *([] if wired is None else [f"--wired={wired}"])]
-    chosen = actuators or list(labels)
+    chosen, desk = actuators or list(labels), Desk(labels, pages=page)
+    place = zenoh_config(zenoh_file, mode="peer", listen=listen) if page else None
     try:
-        with driven(file, settings, socket, words, simulate=simulate) as driver:
+        with (
+            driven(file, settings, socket, words, simulate=simulate) as driver,
+            on_pages(place, settings, labels, driver, desk),
+        ):
+            desk.check = driver.check
             warn(settings)
-            walk(driver, session, chosen, watch)
+            walk(driver, session, chosen, watch, desk)
+            conclude(file, settings, session, desk)
     except (Left, KeyboardInterrupt) as left:
         console.print(f"\nleft; the arm holds. `hyperbit commission {file}` continues here")
         raise typer.Exit(130 if isinstance(left, KeyboardInterrupt) else 1) from None
     except NoDriver as error:
         raise CommandFailed(str(error), PLANNER if "planner is connected" in str(error) else "") from None
-    conclude(file, settings, session, ask)
+
+
+@contextlib.contextmanager
+def on_pages(
+    place: zenoh.Config | None, settings: ArmSettings, labels: Sequence[str], driver: Commissioner, desk: Desk
+) -> Iterator[None]:
+    """Serves the questions to pages, at a place in the network; None: only this terminal is asked."""
+    if place is None:
+        yield
+        return
+    from hyperbit.controller.gateway.claim import AlreadyRunning
+    from hyperbit.controller.gateway.commission import Served, serving
+
+    with open_zenoh(place) as session:
+        try:
+            with serving(session, Served(settings, labels, driver, desk.questions)):
+                console.print("Pages that show this arm ask the same questions; the first answer counts.")
+                yield
+        except AlreadyRunning as error:
+            raise CommandFailed(str(error)) from None
 
 
 @contextlib.contextmanager
@@ -130,87 +166,58 @@ def warn(settings: ArmSettings) -> None:
         console.print(f"When the executor ends, the boards contract {len(contract)} actuators (on_loss: contract).")
 
 
-def walk(driver: Commissioner, session: Session, chosen: list[str], watch: float) -> None:
+def walk(driver: Commissioner, session: Session, chosen: list[str], watch: float, desk: Desk) -> None:
     """Tries each actuator that is still open, in both directions; pairs that moved nothing once more."""
     labels = list(session.entries)
     while todo := [label for label in session.todo() if label in chosen]:
         for count, label in enumerate(todo, 1):
             entry = session.entries[label]
-            console.print(f"\n{count} of {len(todo)}: {label}, {entry.bus}/{entry.node} output {shown(entry.output)}")
-            ready(driver)
-            assert driver.snapshot is not None
-            first = 1 - (unpack(driver.snapshot.outputs) >> labels.index(label) & 1)
+            desk.begin(f"{count} of {len(todo)}: {label}, {entry.bus}/{entry.node} output {shown(entry.output)}")
+            first = 1 - (unpack(ready(driver, desk).outputs) >> labels.index(label) & 1)
             for state in (first, 1 - first):
-                session.add(look(driver, session, label, state, watch))
+                session.add(look(driver, session, label, state, watch, desk))
 
 
-def look(driver: Commissioner, session: Session, label: str, state: int, watch: float) -> Sighting:
+def look(driver: Commissioner, session: Session, label: str, state: int, watch: float, desk: Desk) -> Sighting:
     """Moves an actuator after a key press; returns what the inputs and the person tell of it."""
-    number, verb = list(session.entries).index(label), ("contract", "extend")[state]
+    number, verb = list(session.entries).index(label), VERBS[state]
     while True:
-        if ask(f"  Enter: {verb} {label}; q quit", {"", "q"}) == "q":
-            raise Left
-        ended = driver.run(number, state, watch)
-        if isinstance(ended, str) or ended.status != "done":
-            console.print(f"  not tried: {ended if isinstance(ended, str) else ended.message}")
-            ready(driver)
-            continue
-        seen = session.sighting(label, state, ended)
-        changes = ", ".join(f"{it.line} to {it.level} after {1000 * it.seconds:.0f} ms" for it in seen.changes)
-        console.print(f"  inputs: {changes or 'no change'}")
-        if (answer := answered(session, seen)) is not None:
-            return answer
-
-
-def answered(session: Session, seen: Sighting) -> Sighting | None:
-    """Returns a sighting with what the person saw; None: the motion is wanted again."""
-    while True:
-        words = ask(f"  {SEEN}", None).split()
-        match words:
-            case ["q"]:
-                raise Left
-            case ["a"]:
-                return None
-            case ["n" | "nothing"]:
-                told = seen
-            case [end] if end in ENDS:
-                told = replace(seen, moved=seen.actuator, to=ENDS[end])
-            case [label, end] if label in session.entries and end in ENDS:
-                told = replace(seen, moved=label, to=ENDS[end])
-            case _:
-                console.print(f"  {' '.join(words)!r} is no answer: e, c, n, a, q, or an actuator and e or c")
+        epoch = ready(driver, desk).epoch
+        same = partial(driver.is_ready, epoch)
+        with contextlib.suppress(Withdrawn):
+            desk.ask(f"ready to {verb} {label}", (Choice("", verb, hold=True), LEAVE), stands=same)
+            ended = driver.run(number, state, watch, epoch, time.monotonic() + BEGIN_WITHIN)
+            if isinstance(ended, str) or ended.status != "done":
+                desk.say(f"not tried: {ended if isinstance(ended, str) else ended.message}")
                 continue
-        odd = told.moved is None or (told.moved == told.actuator and told.to != told.state)
-        if odd and session.entries[seen.actuator].output_off is not None:
-            told = replace(told, lamps=LIT[ask(f"  {LAMPS}", set(LIT))])
-        return told
+            seen = session.sighting(label, state, ended)
+            changes = ", ".join(f"{it.line} to {it.level} after {1000 * it.seconds:.0f} ms" for it in seen.changes)
+            desk.say(f"inputs: {changes or 'no change'}")
+            if (answer := answered(session, seen, desk)) is not None:
+                return answer
 
 
-def ready(driver: Commissioner) -> None:
-    """Waits until the arm is ready; a person resets a fault or a stop."""
+def answered(session: Session, seen: Sighting, desk: Desk) -> Sighting | None:
+    """Returns a sighting with what the person saw; None: the motion is wanted again."""
+    told = desk.ask(f"{seen.actuator} was told to {VERBS[seen.state]}; what was seen", SEEN, others=True)
+    if told == "a":
+        return None
+    label, _, end = told.rpartition(" ")
+    if told != "n":
+        seen = replace(seen, moved=label or seen.actuator, to=int(end == "e"))
+    odd = seen.moved is None or (seen.moved == seen.actuator and seen.to != seen.state)
+    if odd and session.entries[seen.actuator].output_off is not None:
+        seen = replace(seen, lamps=LIT[desk.ask("lamps that are lit at its valve now", LAMPS)])
+    return seen
+
+
+def ready(driver: Commissioner, desk: Desk) -> Snapshot:
+    """Waits until the arm is ready and at rest; a person resets a fault or a stop. Returns its state."""
     while (snapshot := driver.ready(READY_WITHIN)).mode != "ready":
-        console.print(f"  the arm is {snapshot.mode}: {snapshot.reason}")
-        if ask("  r: reset, nothing moves; q quit", {"r", "q"}) == "q":
-            raise Left
-        console.print(f"  {driver.reset().message}")
-
-
-def ask(question: str, answers: set[str] | None) -> str:
-    """Returns the answer to a question, one of `answers`; keys that were pressed before it do not count."""
-    while True:
-        with contextlib.suppress(ImportError, OSError):
-            if os.isatty(sys.stdin.fileno()):
-                import termios
-
-                termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
-        console.print(f"{question}: ", end="")
-        line = sys.stdin.readline()
-        if not line:
-            raise Left
-        if answers is None or line.strip() in answers:
-            return line.strip()
-        named = ", ".join(sorted(answer or "Enter" for answer in answers))
-        console.print(f"  {line.strip()!r} is no answer: {named}")
+        desk.say(f"the arm is {snapshot.mode}: {snapshot.reason}")
+        desk.ask("nothing moves by a reset", (Choice("r", "reset", hold=True), LEAVE))
+        desk.say(driver.reset().message)
+    return snapshot
 
 
 def shown(bit: object) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import typer
@@ -11,17 +10,17 @@ from hyperbit.controller.armfile.actuators import read_wired
 from hyperbit.controller.armfile.documents import MOST_YAML, read_text
 from hyperbit.controller.armfile.settings import ArmSettings, TravelSettings
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands.common import console
+from hyperbit.controller.commands.configure.commission_desk import Desk
 from hyperbit.controller.commission.diagnosis import Diagnosis
 from hyperbit.controller.commission.proposal import diff, proposed_text
+from hyperbit.controller.commission.questions import Choice
 from hyperbit.controller.commission.session import Session, write_whole
 from hyperbit.controller.commission.travels import measured, proposed, written
 
-Ask = Callable[[str, set[str] | None], str]
 
-
-def conclude(file: Path, settings: ArmSettings, session: Session, ask: Ask) -> None:
-    """Prints and writes the report and the proposal, and writes the arm's file if the person wants it."""
+def conclude(file: Path, settings: ArmSettings, session: Session, desk: Desk) -> None:
+    """Tells and writes the report and the proposal, and writes the arm's file if the person wants it."""
+    desk.begin("Report")
     found = session.diagnosis
     times = measured(session.entries, found.entries, session.sightings)
     travel, single = proposed(times)
@@ -30,40 +29,42 @@ def conclude(file: Path, settings: ArmSettings, session: Session, ask: Ask) -> N
     lines = report(session, found, times, single)
     report_path = file.with_name(f"{file.stem}.commission.txt")
     write_whole(report_path, "\n".join([*lines, ""]).encode())
-    console.print("\n" + "\n".join(lines))
-    console.print(f"report: {report_path}")
+    for line in (*lines, f"report: {report_path}"):
+        desk.say(line)
     before = read_text(file, MOST_YAML)
     after = proposed_text(file, settings.actuators, found.entries, travel)
     if after is None:
-        console.print("The rows of the actuators are not in the file itself: change them by the report.")
+        desk.say("The rows of the actuators are not in the file itself: change them by the report.")
     elif after != before:
-        offer(file, before, after, ask)
+        offer(file, before, after, desk)
     if open_ := [label for label in session.entries if label not in found.right]:
-        console.print(f"{len(open_)} of {len(session.entries)} actuators are not commissioned: {', '.join(open_[:8])}")
+        desk.say(f"{len(open_)} of {len(session.entries)} actuators are not commissioned: {', '.join(open_[:8])}")
         raise typer.Exit(1)
-    console.print(f"all {len(session.entries)} actuators are commissioned")
+    desk.say(f"all {len(session.entries)} actuators are commissioned")
 
 
-def offer(file: Path, before: str, after: str, ask: Ask) -> None:
+def offer(file: Path, before: str, after: str, desk: Desk) -> None:
     """Shows the proposal, and writes it into the file after a copy, if it reads well and the person wants it."""
     path = file.with_name(f"{file.stem}.commission.diff")
     change = diff(file, before, after)
     write_whole(path, change.encode())
-    console.print(f"\nproposal, also in {path}:\n{change}")
+    desk.say(f"proposal, also in {path}:")
+    for line in change.splitlines():
+        desk.say(line)
     draft = file.with_name(f".{file.name}.proposed{file.suffix}")
     try:
         draft.write_text(after)
         read_wired(draft)
     except InputFaults as error:
-        console.print(f"the proposal does not fit yet: {error.faults[0]}; mend what the report names, and try again")
+        desk.say(f"the proposal does not fit yet: {error.faults[0]}; mend what the report names, and try again")
         return
     finally:
         draft.unlink(missing_ok=True)
-    if ask(f"write it into {file}, after a copy? y or n", {"y", "n"}) == "y":
+    if desk.ask(f"write it into {file}, after a copy", (Choice("y", "yes"), Choice("n", "no"))) == "y":
         copy = next(p for k in range(1, 10_000) if not (p := file.with_name(f"{file.name}.bak-{k}")).exists())
         write_whole(copy, before.encode())
         write_whole(file, after.encode())
-        console.print(f"written; the file before is {copy}. Restart the executor, then `hyperbit commission {file}`")
+        desk.say(f"written; the file before is {copy}. Restart a running executor, then `hyperbit commission {file}`")
 
 
 def report(session: Session, found: Diagnosis, times: dict[str, dict[int, float]], single: list[str]) -> list[str]:

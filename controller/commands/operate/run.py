@@ -180,7 +180,8 @@ def serve(
 
     `config` is that of the session with the clients; `router`: endpoint of the router that the daemon joins, if any.
     """
-    from hyperbit.controller.gateway.daemon import AlreadyRunning, running
+    from hyperbit.controller.gateway.claim import AlreadyRunning
+    from hyperbit.controller.gateway.daemon import running
     from hyperbit.controller.host.keeper import FileInUse
     from hyperbit.controller.host.output import flush_outputs
     from hyperbit.controller.network.reach import NoSession

@@ -4,6 +4,7 @@ import { showActuators } from "./actuators.js";
 import { showBoards } from "./boards.js";
 import { divided, NOTHING } from "./bodies.js";
 import { showCurves, showWear } from "./charts.js";
+import { showCommission } from "./commission.js";
 import { Connection } from "./connection.js";
 import { showControl } from "./control.js";
 import { el, fill, show } from "./dom.js";
@@ -42,6 +43,7 @@ export function showArm(name, onLogin) {
   const editor = new Editor(connection);
   const notify = notifier();
   showHeader(name, connection, notify);
+  showCommission(connection, notify);
   showFaults(connection);
   showGoal(connection, editor, notify);
   showActuators(connection, notify);
