@@ -14,6 +14,7 @@ from hyperbit.controller.library.errors import (
     LockError,
     ObstacleError,
     PathError,
+    PictureError,
     StudyError,
 )
 from hyperbit.controller.library.goals import Goal, read_goals
@@ -22,7 +23,7 @@ from hyperbit.controller.library.many import map
 from hyperbit.controller.library.modules import Module, group, platform, prismatic, revolute, transforms, vgt
 from hyperbit.controller.library.obstacles import Box, Disc, HalfPlane, HalfSpace, Obstacle, Sphere
 from hyperbit.controller.library.path import Path
-from hyperbit.controller.library.plot import plot
+from hyperbit.controller.library.plot import animate, plot
 from hyperbit.controller.library.solver import Solver
 from hyperbit.controller.search.method import METHODS, Method
 from hyperbit.controller.search.solution import Certificate, Solution
@@ -53,12 +54,14 @@ __all__ = [
     "ObstacleError",
     "Path",
     "PathError",
+    "PictureError",
     "Reach",
     "Solution",
     "Solver",
     "Sphere",
     "Study",
     "StudyError",
+    "animate",
     "calibrate",
     "design",
     "group",

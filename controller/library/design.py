@@ -28,6 +28,7 @@ from hyperbit.controller.library.arm import Arm
 from hyperbit.controller.library.errors import ArmError, GoalError, StudyError
 from hyperbit.controller.library.goals import Goal, Number, with_tolerances
 from hyperbit.controller.library.obstacles import Obstacle, build_obstacles
+from hyperbit.controller.library.plot import require_matplotlib
 from hyperbit.controller.studies.shares import StudyFailed
 from hyperbit.controller.studies.workers import check_workers, local_workers
 
@@ -204,7 +205,12 @@ class Designs:
         return "\n".join([report.as_text(columns, rows), *report.notes(self._study, self._finalists)])
 
     def plot(self) -> Figure:
-        """Returns a matplotlib figure: actuators against switches, the share of reached targets, and the arms."""
+        """Returns a matplotlib figure: actuators against switches, the share of reached targets, and the arms.
+
+        Raises:
+            PictureError: matplotlib is not installed.
+        """
+        require_matplotlib()
         return report.picture_of(self._study, self.evaluations, self._finalists)
 
     def save(self, folder: str | Path) -> list[Path]:

@@ -52,5 +52,9 @@ class StudyError(Error):
     """A study of designs is wrong, or work cannot be shared with processes or a cluster. The message says why."""
 
 
+class PictureError(Error):
+    """A picture cannot be drawn: matplotlib is not installed, or the axes or the file do not suit."""
+
+
 class CalibrationError(Error):
     """The arm cannot be fitted to the measurements."""

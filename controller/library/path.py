@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.library.goals import Goal
-from hyperbit.controller.search.solution import Certificate, Solution, gap
+from hyperbit.controller.search.solution import Certificate, Solution, gap, html_table
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +31,10 @@ class Path:
     waypoints: NDArray[np.int64]
     certificate: Certificate
     bound: float
+
+    def _repr_html_(self) -> str:
+        head = f"{len(self.goals)} goals, {self.switches} switches: {self.certificate}"
+        return f"<p>{head}</p>{html_table(self.solutions)}"
 
     @property
     def configurations(self) -> NDArray[np.int64]:

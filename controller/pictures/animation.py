@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hyperbit.controller.manipulator.manipulator import Manipulator
-from hyperbit.controller.obstacles.obstacles import NONE, Obstacles
-from hyperbit.controller.pictures.plots import COLOURS, Subplot, bounds, figure
-from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.pictures.plots import COLOURS
+
+if TYPE_CHECKING:  # matplotlib takes half a second to import
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -29,58 +30,84 @@ class Movement(NamedTuple):
     pauses: Collection[int] = ()  # indices of the states at which the animation pauses
 
 
-def animate(
-    path: Path,
-    manipulator: Manipulator,
-    densities: Densities,
-    movement: Movement,
-    subplot: Subplot,
-    obstacles: Obstacles = NONE,
-) -> None:
-    """Writes an endless animation, in the format of the path's suffix: .gif, .png (APNG) or .webp.
+class Film:
+    """The frames of a movement, drawn into axes of a figure that has the rest of the picture.
 
-    A spatial arm needs no densities. Raises OSError, or ValueError for a suffix that Pillow does not know.
+    Attributes:
+        figure: of the axes.
+        durations: of each frame [ms].
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
 
-    steps = [np.asarray(each, dtype=float) for each in movement.states]
-    bodies = [body_of(manipulator, step) for step in steps]
-    shown = figure(manipulator, densities, [subplot], obstacles=obstacles)
+    def __init__(self, axes: Any, manipulator: Manipulator, movement: Movement) -> None:
+        """Computes where the arm is in each frame."""
+        self.figure: Figure = axes.get_figure(root=True)
+        self.durations, self._bodies = list[int](), list[Array]()
+        steps = [np.asarray(each, dtype=float) for each in movement.states]
+        for k, step in enumerate(steps):
+            before = steps[max(k - 1, 0)]
+            for share in SHARES if k else (1.0,):
+                body = body_of(manipulator, before + share * (step - before))
+                known = np.isfinite(body).all()
+                self._bodies.append(body if known else self._bodies[-1])  # the arm's place is unknown otherwise
+                self.durations.append(FRAME if share < 1.0 else PAUSE if k in movement.pauses else END)
+        self._tips = np.array([tip_of(manipulator, step) for step in steps])
+        self._planar = manipulator.planar
+        self._lines, self._dots = moving(axes, manipulator)
+
+    def draw(self, k: int) -> tuple[Any, Any]:
+        """Moves the arm to frame k; returns what has changed."""
+        tips = self._tips[: 1 + k // len(SHARES)].T
+        self._lines.set_segments(self._bodies[k][:, :, :2] if self._planar else self._bodies[k])
+        self._dots.set_data(*tips[:2])
+        if not self._planar:
+            self._dots.set_3d_properties(tips[2])
+        return self._lines, self._dots
+
+    def write(self, path: Path | BinaryIO, form: str | None = None) -> None:
+        """Writes an endless animation in a form: "gif", "png" (APNG) or "webp"; None: that of the path's suffix.
+
+        Raises OSError, or ValueError for a suffix that Pillow does not know.
+        """
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from PIL import Image
+
+        own = self.figure.canvas
+        canvas, images = cast(Any, FigureCanvasAgg)(self.figure), []
+        try:
+            for k in range(len(self.durations)):
+                self.draw(k)
+                canvas.draw()
+                images.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB"))
+        finally:
+            self.figure.set_canvas(own)
+        swatch = images[-1].copy()  # thin lines and dots alone would have no colour of their own in the palette
+        for k, colour in enumerate(COLOURS[:2]):
+            swatch.paste(colour, (0, 40 * k, swatch.width, 40 * (k + 1)))
+        palette = swatch.quantize(SHADES)
+        few = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+        times: dict[str, Any] = {"duration": self.durations, "loop": 0}
+        few[0].save(path, form, save_all=True, append_images=few[1:], optimize=True, **times)
+
+
+def film(shown: Figure, manipulator: Manipulator, movement: Movement) -> Film:
+    """Returns the film of a movement in a figure, which is for this film alone."""
     shown.set_size_inches(*SIDES)
     shown.set_dpi(DOTS)
-    axes, canvas = shown.axes[0], cast(Any, FigureCanvasAgg)(shown)
-    widen(axes, bodies, 2 if manipulator.planar else 3)
-    lines, tips = moving(axes, manipulator)
-    canvas.draw()
+    result = Film(shown.axes[0], manipulator, movement)
+    shown.draw_without_rendering()
     shown.set_layout_engine("none")  # no new layout for each frame: it would take most of the time
-    images, durations, trail = [], list[int](), list[Array]()
-    for k, step in enumerate(steps):
-        for share in SHARES if k else (1.0,):
-            before = steps[max(k - 1, 0)]
-            body = body_of(manipulator, before + share * (step - before))
-            if np.isfinite(body).all():  # the arm's place is unknown otherwise
-                lines.set_segments(body if not manipulator.planar else body[:, :, :2])
-            if share == 1.0:
-                trail.append(tip_of(manipulator, step))
-                coordinates = np.array(trail).T
-                tips.set_data(*coordinates[:2])
-                if not manipulator.planar:
-                    tips.set_3d_properties(coordinates[2])
-            canvas.draw()
-            images.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB"))
-            durations.append(FRAME if share < 1.0 else PAUSE if k in movement.pauses else END)
-    swatch = images[-1].copy()  # thin lines and dots alone would have no colour of their own in the palette
-    for k, colour in enumerate(COLOURS[:2]):
-        swatch.paste(colour, (0, 40 * k, swatch.width, 40 * (k + 1)))
-    palette = swatch.quantize(SHADES)
-    few = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    few[0].save(path, save_all=True, append_images=few[1:], duration=durations, loop=0, optimize=True)
+    return result
 
 
 def body_of(manipulator: Manipulator, displacements: Array) -> Array:
     """Returns the line segments (n, 2, 3) of the arm in the world at displacements (A,); NaN if unknown."""
     return chained(manipulator, displacements)[0]
+
+
+def ends(manipulator: Manipulator, states: Sequence[ArrayLike]) -> Array:
+    """Returns the ends (n, 3) of the arm's lines in some states of the actuators, to have them inside the axes."""
+    bodies = [body_of(manipulator, np.asarray(each, dtype=float)) for each in states]
+    return np.concatenate([body.reshape(-1, 3) for body in bodies if np.isfinite(body).all()])
 
 
 def tip_of(manipulator: Manipulator, displacements: Array) -> Array:
@@ -98,17 +125,6 @@ def chained(manipulator: Manipulator, displacements: Array) -> tuple[Array, Arra
         parts.append(body[0] @ frame[:3, :3].T + frame[:3, 3])
         frame = np.asarray(frame @ step[0])
     return np.concatenate(parts), frame
-
-
-def widen(axes: Any, bodies: list[Array], dimension: int) -> None:
-    """Sets the bounds of axes so that all bodies are inside."""
-    limits = [axes.get_xlim(), axes.get_ylim(), axes.get_zlim() if dimension == 3 else (0.0, 0.0)]
-    corners = np.array(limits)[:dimension].T
-    low, high = bounds([corners, *(body[:, :, :dimension].reshape(-1, dimension) for body in bodies)])
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    if dimension == 3:
-        axes.set(zlim=(low[2], high[2]))
-        axes.set_box_aspect(high - low, zoom=0.9)
 
 
 def moving(axes: Any, manipulator: Manipulator) -> tuple[Any, Any]:

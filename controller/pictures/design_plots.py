@@ -40,10 +40,10 @@ def draw_designs(title: str, designs: NDArray[np.float64], arms: Sequence[DrawnA
         arms: those of the front, and those for comparison.
         targets: positions, shape (m, 2) or (m, 3).
     """
-    from matplotlib.figure import Figure
+    from hyperbit.controller.pictures.picture import Picture
 
     rows = math.ceil(len(arms) / COLUMNS)
-    figure = Figure(figsize=(11, 5.5 + 2.6 * rows), layout="constrained")
+    figure = Picture(figsize=(11, 5.5 + 2.6 * rows), layout="constrained")
     grid = figure.add_gridspec(1 + rows, COLUMNS, height_ratios=[5.5, *[2.6] * rows])
     draw_front(figure.add_subplot(grid[0, :]), title, designs, arms)
     for k, arm in enumerate(arms):

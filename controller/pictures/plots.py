@@ -45,6 +45,7 @@ class Subplot:
     configurations: Mapping[str, Configuration] = field(default_factory=dict)  # by their names in the legend
     targets: ArrayLike = ()  # drawn as black crosses, shape (n, 2) or (n, 3)
     curve: ArrayLike = ()  # waypoints, drawn as a dotted line, shape (n, 2) or (n, 3)
+    around: ArrayLike = ()  # further points inside the axes, shape (n, 3)
 
 
 def save(
@@ -71,9 +72,9 @@ def figure(
     obstacles: Obstacles = NONE,
 ) -> Figure:
     """Returns the picture that `save` writes; without densities if they are None."""
-    from matplotlib.figure import Figure
+    from hyperbit.controller.pictures.picture import Picture
 
-    result = Figure(figsize=(6.0 * len(subplots) + 0.6, 6.2), layout="constrained")
+    result = Picture(figsize=(6.0 * len(subplots) + 0.6, 6.2), layout="constrained")
     shades = None
     for k, subplot in enumerate(subplots):
         if manipulator.planar:
@@ -100,7 +101,7 @@ def draw(
     """Draws a planar arm in the world over the density of W_0; returns the image of the density, or None."""
     from matplotlib.collections import LineCollection
 
-    shades, everything = None, [manipulator.base[None, :2, 3]]
+    shades, everything = None, [manipulator.base[None, :2, 3], points(subplot.around, 3)[:, :2]]
     if densities is not None:
         shades, reachable = draw_density(axes, manipulator, densities)
         everything.append(reachable)
@@ -158,7 +159,7 @@ def draw_spatial(
     from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
 
     axes.computed_zorder = False  # else an arm in front hides waypoints and targets
-    everything = [manipulator.base[None, :3, 3]]
+    everything = [manipulator.base[None, :3, 3], points(subplot.around, 3)]
     for name, configuration, colour, width in styled(subplot):
         body = manipulator.body(configuration)
         width *= 1.0 if len(body) < CROWDED else 0.6

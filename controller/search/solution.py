@@ -1,7 +1,8 @@
 """The incumbent of a search with its lower bound and deadline; the solution of a goal and its certificate."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import Literal
 
 import numpy as np
@@ -154,6 +155,9 @@ class Solution:
         missed = "is out of reach" if self.certificate == "unreachable" else "seems out of reach"
         return missed + ("" if self.collision is None else f" without a collision, such as: {self.collision}")
 
+    def _repr_html_(self) -> str:
+        return html_table([self])
+
     def proof(self) -> dict[str, str | bool | float | None]:
         """Returns the certificate as fields for JSON."""
         return proof(self.certificate, self.bound)
@@ -180,3 +184,14 @@ def proof(kind: Certificate, bound: float) -> dict[str, str | bool | float | Non
     known = kind in ("optimal", "bound")
     optimal = None if kind == "unknown" else kind == "optimal"
     return {"optimal": optimal, "lower_bound": bound if known else None, "certificate": kind}
+
+
+def html_table(solutions: Sequence[Solution]) -> str:
+    """Returns solutions as a table for notebooks."""
+    rows = [("configuration", "position", "switches", "error", "certificate")]
+    for one in solutions:
+        place, state = (" ".join(f"{x:.4g}" for x in array.tolist()) for array in (one.position, one.configuration))
+        proven = one.certificate if one.within_tolerance else f"the goal {one.reach}"
+        rows.append((state, place, str(one.switches), f"{one.error:.2g}", proven))
+    cells = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows)
+    return f"<table>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"

@@ -137,24 +137,6 @@ def test_every_method_answers(arm: hb.Arm, ik: hb.Solver) -> None:
     assert found["minimum-switch"].switches == min(solution.switches for solution in found.values())
 
 
-@pytest.mark.parametrize("drawn", ["path", "solution", "mapping", "nothing"])
-def test_pictures(arm: hb.Arm, ik: hb.Solver, drawn: str, tmp_path) -> None:
-    goals = [arm.position(row) for row in arm.sample(2, seed=2)]
-    given = {"path": ik.follow(goals), "solution": ik.solve(goals[0]), "mapping": {"home": arm.home}, "nothing": None}[
-        drawn
-    ]
-    figure = hb.plot(arm, given, obstacles=[hb.Disc((2.0, 2.0), 0.1)], targets=goals)
-    figure.savefig(tmp_path / "picture.png")
-    assert (tmp_path / "picture.png").stat().st_size > 1000
-
-
-def test_a_spatial_arm_is_drawn_without_its_density() -> None:
-    arm = hb.Arm([hb.revolute([-0.5, 0.5], axis=(1, 0, 0), link=(0.0, 0.0, 0.2), count=3)], unit="cm")
-    figure = hb.plot(arm, {"home": arm.home}, obstacles=[hb.Sphere((1, 1, 1), 0.2)])
-    assert figure.axes[0].get_zlabel() == "z [cm]"
-    assert "_densities" not in vars(arm)
-
-
 def test_paths_have_orientations_and_locked_actuators(arm: hb.Arm) -> None:
     locked = arm.lock({"2.left": "extended"})
     goals = []

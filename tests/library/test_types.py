@@ -47,7 +47,9 @@ def solve(points: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> Iterator
     certificate: hb.Certificate = found.certificate
     many: list[hb.Solution] = ik.solve_many([*points, *hb.read_goals("goals.csv")], start=found)
     path: hb.Path = ik.follow(points, path_tolerance=np.float32(0.1))
-    hb.plot(arm, path, title=certificate).savefig("path.png")
+    figure = hb.plot(arm, path, title=certificate)
+    hb.plot(arm, {"home": arm.home, "first": found}, ax=figure.add_subplot()).savefig("path.png")
+    hb.animate(arm, [arm.home, *path.solutions]).save("path.gif")
     density: hb.Density = arm.density()
     reach: hb.Reach = arm.reach(np.float32(0.01))
     print(reach.extent, arm.position(path.configurations), arm.outlines("0" * 8)[arm.outline_modules == 0])
@@ -65,9 +67,9 @@ try:
     arm.configuration([0, 1])
 except hb.ArmError as wrong:
     print(wrong.faults, wrong.lines)
-except (hb.CalibrationError, hb.ConfigurationError, hb.GoalError, hb.LockError, hb.ObstacleError) as error:
+except (hb.CalibrationError, hb.ConfigurationError, hb.GoalError, hb.LockError, hb.PictureError) as error:
     print(error)
-except (hb.PathError, hb.StudyError, hb.Error) as error:
+except (hb.ObstacleError, hb.PathError, hb.StudyError, hb.Error) as error:
     print(error)
 """
 

@@ -6,9 +6,8 @@ from numpy.testing import assert_allclose
 from PIL import Image
 
 from hyperbit.controller.commands.operate.demo import Watched
-from hyperbit.controller.pictures.animation import END, FRAME, PAUSE, SHARES, Movement, animate, body_of, tip_of
-from hyperbit.controller.pictures.plots import Subplot
-from hyperbit.controller.workspace.mapping import map_densities
+from hyperbit.controller.pictures.animation import END, FRAME, PAUSE, SHARES, Movement, body_of, film, tip_of
+from hyperbit.controller.pictures.plots import Subplot, figure
 from tests.arms import spatial_arm
 
 
@@ -17,7 +16,8 @@ def test_an_animation_has_a_frame_for_each_part_of_a_stroke(manipulator, densiti
     file = tmp_path / f"arm.{suffix}"
     states = np.zeros((3, len(manipulator.actuators)), dtype=int)
     states[1, :6], states[2, :12] = 1, 1
-    animate(file, manipulator, densities, Movement(states, [2]), Subplot("arm", targets=[(0.55, 2.9)]))
+    shown = figure(manipulator, densities, [Subplot("arm", targets=[(0.55, 2.9)])])
+    film(shown, manipulator, Movement(states, [2])).write(file)
     with Image.open(file) as image:
         assert image.n_frames == 1 + 2 * len(SHARES)
         if suffix == "gif":
@@ -31,9 +31,8 @@ def test_an_animation_has_a_frame_for_each_part_of_a_stroke(manipulator, densiti
 
 def test_a_spatial_arm_is_drawn(tmp_path):
     arm = spatial_arm(4)
-    densities = map_densities(arm, arm.length / 20, 1000)
     states = [arm.actuator_states(np.full(len(arm.modules), k)) for k in (0, 1)]
-    animate(tmp_path / "arm.gif", arm, densities, Movement(states), Subplot("arm"))
+    film(figure(arm, None, [Subplot("arm")]), arm, Movement(states)).write(tmp_path / "arm.gif")
     assert (tmp_path / "arm.gif").stat().st_size > 1000
 
 

@@ -127,11 +127,12 @@ def draw(arm: Arm, goals: DemoGoals, shown: Shown, picture: Path, animation: Pat
     plots.save(picture, arm.manipulator, goals.densities, subplots, arm.settings.unit, obstacles=arm.obstacles)
     console.print(f"picture: {picture}")
     if animation is not None:
-        from hyperbit.controller.pictures.animation import Movement, animate
+        from hyperbit.controller.pictures.animation import Movement, ends, film
 
-        subplot = plots.Subplot(title, targets=goals.targets, curve=goals.curve)
-        movement = Movement(shown.states, shown.pauses)
-        animate(animation, arm.manipulator, goals.densities, movement, subplot, arm.obstacles)
+        around = ends(arm.manipulator, shown.states)
+        subplot = plots.Subplot(title, targets=goals.targets, curve=goals.curve, around=around)
+        figure = plots.figure(arm.manipulator, goals.densities, [subplot], obstacles=arm.obstacles)
+        film(figure, arm.manipulator, Movement(shown.states, shown.pauses)).write(animation)
         console.print(f"animation: {animation}")
 
 
