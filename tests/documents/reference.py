@@ -21,22 +21,21 @@ def text() -> str:
     public = {name: getattr(hb, name) for name in hb.__all__}
     classes = {name: it for name, it in public.items() if inspect.isclass(it)}
     errors = {name: it for name, it in classes.items() if issubclass(it, Exception)}
-    lines = [HEAD, "## Functions", "", "| call | what it does |", "|---|---|"]
+    lines = [HEAD, "## Functions", ""]
     lines += [row(name, it) for name, it in public.items() if inspect.isfunction(it)]
     for name, it in classes.items():
         if name not in errors:
-            lines += ["", f"## {name}", "", sentence(it), "", "| name | what it is |", "|---|---|"]
-            lines += [created(name, it), *members(it)]
-    lines += ["", "## Exceptions", "", "| name | when it is raised |", "|---|---|"]
-    lines += [f"| `{name}` | {sentence(it)} |" for name, it in errors.items()]
+            rows = list(members(it))
+            lines += ["", f"## {name}", "", f"{call(name, it)}: {sentence(it)}", *([""] if rows else []), *rows]
+    lines += ["", "## Exceptions", "", *(f"- `{name}`: {sentence(it)}" for name, it in errors.items())]
     return "\n".join(lines) + "\n"
 
 
-def created(name: str, kind: Any) -> str:
-    """Returns the row of how a class is called; of a named tuple, which only functions make, its fields."""
+def call(name: str, kind: Any) -> str:
+    """Returns how a class is called; of a named tuple, which only functions make, its fields."""
     if issubclass(kind, tuple):
-        return f"| {', '.join(f'`{field}`' for field in kind._fields)} | Its fields. |"
-    return row(name, kind.__init__)
+        return f"Tuple of {', '.join(f'`{field}`' for field in kind._fields)}"
+    return called(name, kind.__init__)
 
 
 def members(kind: type) -> Iterator[str]:
@@ -48,24 +47,27 @@ def members(kind: type) -> Iterator[str]:
         if inspect.isfunction(member):
             yield row(name, member)
         elif isinstance(member, property) or hasattr(member, "func"):
-            yield f"| `{name}` | {sentence(member)} |"
+            yield f"- `{name}`: {sentence(member)}"
 
 
 def row(name: str, function: Any) -> str:
-    """Returns the row of a function or method, with the names of its arguments."""
+    return f"- {called(name, function)}: {sentence(function)}"
+
+
+def called(name: str, function: Any) -> str:
+    """Returns the call of a function or method, with the names of its arguments."""
     parts = list[str]()
     for parameter in inspect.signature(function).parameters.values():
         if parameter.kind is parameter.KEYWORD_ONLY and "*" not in parts:
             parts.append("*")
-        if parameter.name != "self":
+        if parameter.name != "self" and not parameter.name.startswith("_"):
             parts.append(parameter.name if parameter.default is parameter.empty else f"{parameter.name}=")
-    said = "Creates one." if function.__name__ == "__init__" else sentence(function)
-    return f"| `{name}({', '.join(parts)})` | {said} |"
+    return f"`{name}({', '.join(parts)})`"
 
 
 def sentence(it: Any) -> str:
-    """Returns the first paragraph of a docstring as a line of a table."""
-    return " ".join((inspect.getdoc(it) or "").partition("\n\n")[0].split()).replace("|", "\\|")
+    """Returns the first paragraph of a docstring as one line."""
+    return " ".join((inspect.getdoc(it) or "").partition("\n\n")[0].split())
 
 
 if __name__ == "__main__":
