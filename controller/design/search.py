@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 BATCH = 8
 RANDOM = 20  # designs before the estimators begin
+CANDIDATES = 2  # of which the estimators choose one; of many they choose what they know already
 INSTALL = "optuna is not installed: pip install 'hyperbit[design]'"
 
 Figures = dict[str, int | float]
@@ -84,7 +85,9 @@ def evaluations(study: Study, count: int, seed: int, known: Sequence[Evaluation]
     """
     optuna_version()
     with quiet() as optuna:
-        sampler = optuna.samplers.TPESampler(n_startup_trials=RANDOM, multivariate=True, constant_liar=False, seed=seed)
+        sampler = optuna.samplers.TPESampler(
+            n_startup_trials=RANDOM, n_ei_candidates=CANDIDATES, multivariate=True, constant_liar=False, seed=seed
+        )
         better = ["maximize" if name in GREATER else "minimize" for name in study.settings.objectives]
         search = optuna.create_study(directions=better, sampler=sampler)
     for first in range(0, count, BATCH):
