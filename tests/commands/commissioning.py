@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import IO, Any
 
+import yaml
 import zenoh
 
 from hyperbit.controller.network import session
@@ -27,7 +28,7 @@ class Commission:
     """
 
     def __init__(self, folder: Path, name: str, *words: str) -> None:
-        endpoint = free_endpoint()
+        self.folder, endpoint = folder, free_endpoint()
         command = [sys.executable, "-m", "hyperbit", "commission", "arm.yaml", "--watch", "0.3", "--page"]
         own = {**os.environ, "XDG_RUNTIME_DIR": str(folder), "HOME": str(folder)}
         self._log = (folder / "told").open("w+")
@@ -95,6 +96,30 @@ class Commission:
         self._states.undeclare()  # type: ignore[no-untyped-call]
         self._session.close()  # type: ignore[no-untyped-call]
         self._log.close()
+
+
+def right_answer(text: str, file: Path, true: Path) -> str:
+    """Returns the answer of a person beside an arm that is wired as another file says; it has an output an actuator."""
+    match text.split():
+        case ["ready", *_]:
+            return ""
+        case [label, "was", "told", "to", verb, *_]:
+            (node, output, inverted), wired = outputs(file)[label], outputs(true)
+            moved, turned = next((one, it[2]) for one, it in wired.items() if it[:2] == (node, output))
+            end = "ec"[verb.startswith("contract") ^ inverted ^ turned]
+            return end if moved == label else f"{moved} {end}"
+        case ["write", *_]:
+            return "y"
+    return "r"
+
+
+def outputs(file: Path) -> dict[str, tuple[int, int, bool]]:
+    """Returns node, bit and inversion of each actuator's output."""
+    found = {}
+    for row in yaml.safe_load(file.read_text())["actuators"]:
+        output = row["output"] if isinstance(row["output"], dict) else {"bit": row["output"]}
+        found[f"{row['module']}.{row['actuator']}"] = row["node"], output["bit"], output.get("inverted", False)
+    return found
 
 
 def record(folder: Path) -> list[tuple[str, int]]:

@@ -166,3 +166,26 @@ def test_a_source_that_is_none_is_named(hyperbit, endpoint, tmp_path):
     (tmp_path / "s.csv").write_text("actuators,x,y\n")
     code, _, err = hyperbit(*words, "--measure", "prompt")
     assert (code, "the columns configuration,x,y or configuration,x,y,th are needed" in err) == (2, True)
+
+
+def test_a_new_file_in_another_folder_takes_tables_and_commission_along(hyperbit, tmp_path):
+    arm, samples, there = tmp_path / "arm.yaml", tmp_path / "samples.csv", tmp_path / "there"
+    words = ["--module", "revolute angles=-15,15 link=40", "--repeat", "4", "--wiring", "csv", "--defaults"]
+    assert hyperbit("new", str(arm), *words)[0] == 0
+    (tmp_path / "arm.commission.json").write_text("{}")
+    rows = [f"{text},{x + 3},{y + 1}" for text, (x, y) in ((f"{k:04b}", tip_of(load(arm), k)) for k in range(16))]
+    samples.write_text("configuration,x,y\n" + "\n".join(rows) + "\n")
+    there.mkdir()
+    (there / "arm-wiring.csv").write_text("another\n")
+    command = "calibrate", str(arm), str(samples), "--base-only", "--out", str(there / "new.yaml")
+    code, _, err = hyperbit(*command)
+    assert (code, "differs from" in err) == (2, True), err
+    (there / "arm-wiring.csv").unlink()
+    code, _, err = hyperbit(*command)
+    assert code == 0, err
+    assert hyperbit("check", str(there / "new.yaml"))[0] == 0
+    assert sorted(it.name for it in there.iterdir()) == ["arm-wiring.csv", "new.commission.json", "new.yaml"]
+
+
+def tip_of(arm, k):
+    return arm.manipulator.tip([int(bit) for bit in f"{k:04b}"])[:2, 3]

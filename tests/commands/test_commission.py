@@ -24,9 +24,6 @@ actuators:
     output: {b}  # the second
     input_contracted: {end}
 """
-SWAPPED = "\n1.2 e\n\n1.2 c\n"  # answers about 1.1
-OTHER = "\n1.1 e\n\n1.1 c\n"  # and about 1.2
-RIGHT = "\ne\n\nc\n"
 
 
 def commission(folder: Path, answers: str, *words: str) -> tuple[int, str]:
@@ -34,26 +31,6 @@ def commission(folder: Path, answers: str, *words: str) -> tuple[int, str]:
     own = {**os.environ, "XDG_RUNTIME_DIR": str(folder), "HOME": str(folder)}
     ran = subprocess.run([*command, *words], cwd=folder, input=answers, capture_output=True, text=True, env=own)
     return ran.returncode, ran.stdout + ran.stderr
-
-
-def test_faults_are_found_in_two_sittings_proposed_written_and_gone(tmp_path: Path) -> None:
-    file, pid = tmp_path / "arm.yaml", os.getpid()
-    file.write_text(before := ARM.format(pid=pid, a=0, b=1, end=1))
-    truth = ARM.format(pid=pid, a=1, b=0, end="{bit: 1, inverted: true}")
-    (tmp_path / "true.yaml").write_text(truth)
-    code, told = commission(tmp_path, SWAPPED + "\n1.1 e\n\n", "--wired", "true.yaml")  # its terminal is closed
-    assert (code, "2 of 2: 1.2" in told, "continues here" in told) == (1, True, True), told
-    code, told = commission(tmp_path, OTHER + "y\n", "--wired", "true.yaml")
-    assert (code, "1 of 1: 1.2" in told, "the outputs of 1.1 and 1.2 are swapped" in told) == (1, True, True), told
-    assert "`input_contracted` of 1.2 is inverted" in told, told
-    assert (tmp_path / "arm.yaml.bak-1").read_text() == before
-    written = file.read_text()
-    times = "travel_time: 0.2"
-    assert [line for line in written.splitlines() if times not in line] == [
-        line for line in truth.splitlines() if times not in line
-    ]
-    code, told = commission(tmp_path, RIGHT + RIGHT + "n\n", "--wired", "true.yaml")
-    assert (code, "no fault of the wiring" in told, "all 2 actuators are commissioned" in told) == (0, True, True), told
 
 
 def test_bad_input_is_named_before_anything_moves(tmp_path: Path) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import copy
+import json
 from pathlib import Path
 
 import pytest
 import yaml
 
-from tests.commands.commissioning import Commission, record
+from tests.commands.commissioning import Commission, record, right_answer
 from tests.commission.rig import entries, write_arm
 from tests.system.stack.processes import Process, commands
 from tests.waiting import eventually
@@ -22,8 +23,11 @@ def written(folder: Path, name: str) -> Path:
     truth = copy.deepcopy(FILE)
     truth["1.1"]["output"], truth["1.2"]["output"] = 1, 0
     for path, wiring in ((folder / "arm.yaml", FILE), (folder / "true.yaml", truth)):
-        text = write_arm(path, wiring).read_text()
-        path.write_text(text.replace('"name": "small"', f'"name": "{name}"').replace('"count": 2', '"count": 1'))
+        arm = json.loads(write_arm(path, wiring).read_text()) | {"name": name, "planner_timeout": 10}
+        arm["modules"][0]["count"] = 1
+        path.write_text(
+            json.dumps(arm | {"boards": {"heartbeat_timeout": 10}}, indent=1)
+        )  # this machine may stand still
     return folder
 
 
@@ -59,12 +63,9 @@ def test_each_question_is_answered_once_by_whoever_comes_first(tmp_path: Path) -
 
 
 KILLS = [  # begin of a question at which the command is killed, and whether it has been answered then
-    ("ready to extend 1.1", False),
     ("ready to extend 1.1", True),  # while it moves
     ("1.1 was told to extend", False),
-    ("1.1 was told to extend", True),
     ("ready to contract 1.1", True),
-    ("1.2 was told to", True),
     ("write it", False),
     ("write it", True),
 ]
@@ -82,7 +83,7 @@ def test_a_commission_that_is_killed_goes_on_and_moves_nothing_by_itself(tmp_pat
             executor, before = execute(file, socket, *words), file.read_bytes()
         it = Commission(tmp_path, name, *(words if own else ["--socket", str(socket)]))
         try:
-            go_on(it, kill, swapped=yaml.safe_load(file.read_text())["actuators"] != truth["actuators"])
+            go_on(it, kill)
         finally:
             it.kill()
         if it.process.returncode == 0:
@@ -93,7 +94,7 @@ def test_a_commission_that_is_killed_goes_on_and_moves_nothing_by_itself(tmp_pat
     assert record(tmp_path) == [("1.1", 1), ("1.1", 0), ("1.2", 1), ("1.2", 0)]
 
 
-def go_on(it: Commission, kill: tuple[str, bool] | None, *, swapped: bool) -> None:
+def go_on(it: Commission, kill: tuple[str, bool] | None) -> None:
     """Answers up to the question of the kill, or to the end. Nothing moves but what an answer has allowed."""
     allowed: list[list[int] | None] = [None]
     while (state := it.next_question()) is not None:
@@ -105,21 +106,9 @@ def go_on(it: Commission, kill: tuple[str, bool] | None, *, swapped: bool) -> No
             return
         if text.startswith("ready"):
             allowed.append([bit ^ text.endswith(label) for bit, label in zip(present, LABELS, strict=True)])
-        it.answer(state, right_answer(text, swapped=swapped))
+        it.answer(state, right_answer(text, it.folder / "arm.yaml", it.folder / "true.yaml"))
         if here:
             return
-
-
-def right_answer(text: str, *, swapped: bool) -> str:
-    match text.split():
-        case ["ready", *_]:
-            return ""
-        case [label, "was", "told", "to", verb, *_]:
-            other = {"1.1": "1.2 ", "1.2": "1.1 "}[label] if swapped else ""
-            return other + ("e" if verb.startswith("extend") else "c")
-        case ["write", *_]:
-            return "y"
-    return "r"
 
 
 def execute(file: Path, socket: Path, *words: str) -> Process:

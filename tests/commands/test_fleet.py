@@ -164,9 +164,9 @@ def test_a_fault_that_is_the_reason_of_the_mode_is_printed_once():
     arm = ArmStatus(HERE, None, STATE, 0.0, None, None, is_new=False)
     stuck = "stuck: actuator 2.1 did not move"
     assert fleet.line_of_arm(arm) == f"a: fault, interlock: interlock gate is open; {stuck}"
-    assert line_of(STATE) == f"fault: interlock: interlock gate is open; tip (unknown); {stuck}"
+    assert line_of(STATE, "") == f"fault: interlock: interlock gate is open; tip unknown; {stuck}"
     ready = {**STATE, "mode": "ready", "reason": "holding", "faults": [STUCK]}
-    assert line_of(ready) == f"ready: holding; tip (unknown); {stuck}"
+    assert line_of(ready, "") == f"ready: holding; tip unknown; {stuck}"
 
 
 def test_the_progress_of_a_goal_is_told():
@@ -178,7 +178,7 @@ def test_the_progress_of_a_goal_is_told():
 
 def shown(labels: list[str], diagnostics: dict | None = None) -> str:
     """Returns what `watch` shows of STATE."""
-    view = View("a", labels)
+    view = View("a", labels, " mm")
     view.receive_message("state", STATE)
     if diagnostics:
         view.receive_message("diagnostics", diagnostics)

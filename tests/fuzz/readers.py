@@ -165,17 +165,17 @@ def fleet() -> Take:
 def client() -> Take:
     """Answers and messages that commands read and show."""
     session, console = StillSession(), Console(file=io.StringIO(), width=200, markup=False)
-    one, view = Client(session, "planar16"), watch_command.View("planar16", ())  # type: ignore[arg-type]
+    one, view = Client(session, "planar16"), watch_command.View("planar16", (), "")  # type: ignore[arg-type]
 
     def show(key: str, message: dict[str, Any]) -> None:
         if key == "result":
-            print_result({**message, "code": 0}, "planar16", as_json=False)
+            print_result({**message, "code": 0}, "planar16", as_json=False, unit="")
         message = filled(key, message)
         view.receive_message(key, message)
         console.print(view)
         console.file = io.StringIO()
         if key == "state":
-            assert watch_command.clock_of(message) + watch_command.line_of(message)
+            assert watch_command.clock_of(message) + watch_command.line_of(message, "")
 
     def take(key: str, data: bytes) -> None:
         if key in ("state", "diagnostics", "feedback", "result"):

@@ -11,10 +11,13 @@ import numpy as np
 import typer
 
 from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.armfile.commissioned import record_path
 from hyperbit.controller.armfile.documents import read_text
 from hyperbit.controller.armfile.places import counted
 from hyperbit.controller.armfile.rewriting import rewritten
+from hyperbit.controller.armfile.settings import files_beside
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.armfile.units import unit_name
 from hyperbit.controller.calibration.model import Model
 from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmFile, AsJson, Connect, Dask, Workers, ZenohFile
@@ -86,8 +89,9 @@ def calibrate(
     arm = load(file)
     if out is not None and out.exists() and not force:
         raise InputFaults(out, ["the file exists; name another file, or add --force"])
-    if out is not None and arm.settings.wiring is not None and out.parent.resolve() != file.parent.resolve():
-        raise InputFaults(out, [f"the new file needs {arm.settings.wiring} beside it, as {file} does: name one there"])
+    for table, copy in copies(file, out, arm) if out is not None else []:
+        if copy.exists() and read_text(copy) != read_text(table):
+            raise InputFaults(copy, [f"the file differs from {table}, which belongs beside the new file: move it away"])
     if out is not None:
         check_output(out)
     try:
@@ -119,18 +123,25 @@ def calibrate(
 def write(out: Path, file: Path, samples: Path, found: Calibration, arm: Arm) -> None:
     """Writes the fitted arm's file with the comments and the order of the old one, after reading a draft of it back.
 
-    A file that is there stays as NAME.old.
+    A file that is there stays as NAME.old. The tables of the old file are copied beside the new one, and the record of
+    its commission is, because the wiring is the same.
     """
     before, after = found.before.position.rms, found.after.position.rms
     text = f"# {file.name}, fitted to the {found.samples} tips in {samples.name}: rms {before:.3g}, now {after:.3g}.\n"
     text += rewritten(read_text(file), found.description, {change.parameter.where for change in found.changes})
     draft = out.with_name(f".{out.name}.{os.getpid()}")
+    made = [(table, copy) for table, copy in copies(file, out, arm) if not copy.exists()]
     try:
+        for table, copy in made:
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_bytes(table.read_bytes())
         draft.write_text(text, encoding="utf-8")
         check_tips(load(draft), arm, found)
         if out.exists():
             out.replace(out.with_name(f"{out.name}.old"))
         draft.replace(out)
+        if record_path(file).exists() and not record_path(out).exists():
+            record_path(out).write_bytes(record_path(file).read_bytes())
     except InputFaults as error:
         raise CommandFailed(
             f"the fitted numbers describe no valid arm, nothing is written: {error.faults[0]}"
@@ -139,6 +150,12 @@ def write(out: Path, file: Path, samples: Path, found: Calibration, arm: Arm) ->
         raise CommandFailed(f"{out} cannot be written: {error.strerror}") from None
     finally:
         draft.unlink(missing_ok=True)
+
+
+def copies(file: Path, out: Path, arm: Arm) -> list[tuple[Path, Path]]:
+    """Returns the tables that an arm's file names, and their places beside a new file."""
+    found = [(file.parent / name, out.parent / name) for name in files_beside(arm.settings)]
+    return [(table, copy) for table, copy in found if table.resolve() != copy.resolve()]
 
 
 def check_tips(new: Arm, old: Arm, found: Calibration) -> None:
@@ -179,7 +196,7 @@ def show(found: Calibration, unit: str | None) -> None:
                 values = (residuals.rms, residuals.most, residuals.worst)
                 table.add_row(units[kind], name.replace("_", " "), *(f"{value:.3g}" for value in values))
     print_table(table)
-    table = results_table("field", "before", "after", "deviation", "")
+    table = results_table(f"field [{unit_name(unit)}, rad]", "before", "after", "deviation", "")
     for change in found.changes:
         numbers = written(change.before), written(change.after), f"{change.deviation:.2g}"
         note = "" if change.determined else "not determined: kept near the file's value"

@@ -17,6 +17,7 @@ from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.documents import read_text
 from hyperbit.controller.armfile.goal_files import Orientation, goal_rows, parse_goal
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.armfile.units import unit_name
 from hyperbit.controller.calibration.guide import Guide, frame_of_tip
 from hyperbit.controller.calibration.samples import Samples, read_samples
 from hyperbit.controller.commands.common import CommandFailed, console, errors, refusal
@@ -89,7 +90,7 @@ def measure(
     ):
         raise CommandFailed("nothing was moved")
     with connected(arm.settings.name, connect, zenoh_file) as client:
-        take, refused = source_of(source, client, arm.manipulator.dimension), 0
+        take, refused = source_of(source, client, arm), 0
         try:
             while len(guide) < most and not guide.done and (wanted := guide.propose()) is not None:
                 if (text := go(client, format_configuration(arm.manipulator, wanted), name)) is None:
@@ -134,10 +135,11 @@ def go(client: Client, text: str, arm: str) -> str | None:
     raise refusal(result, arm)
 
 
-def source_of(source: str, client: Client, dimension: int) -> TakeTip:
+def source_of(source: str, client: Client, arm: Arm) -> TakeTip:
     """Returns what takes the tip: a prompt, a tracker that publishes `measured_tip`, or a file that gets a row more."""
+    dimension = arm.manipulator.dimension
     if source == PROMPT:
-        return lambda: from_prompt(dimension)
+        return lambda: from_prompt(dimension, unit_name(arm.settings.unit))
     if source == TRACKER:
         return lambda: from_tracker(client, dimension)
     if not source.endswith(".csv"):
@@ -146,9 +148,9 @@ def source_of(source: str, client: Client, dimension: int) -> TakeTip:
     return lambda: from_file(path, dimension)
 
 
-def from_prompt(dimension: int) -> Tip | None:
+def from_prompt(dimension: int, unit: str) -> Tip | None:
     """Asks for the tip until the answer can be read."""
-    form = "x,y[,th]" if dimension == 2 else "x,y,z[,qx,qy,qz,qw]"
+    form = f"x,y[,th], in {unit} and rad" if dimension == 2 else f"x,y,z[,qx,qy,qz,qw], in {unit}"
     while True:
         sys.stderr.write(f"  tip {form} (Enter: skip it, q: end): ")
         sys.stderr.flush()

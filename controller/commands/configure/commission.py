@@ -179,11 +179,18 @@ def walk(driver: Commissioner, session: Session, chosen: list[str], watch: float
 
 
 def look(driver: Commissioner, session: Session, label: str, state: int, watch: float, desk: Desk) -> Sighting:
-    """Moves an actuator after a key press; returns what the inputs and the person tell of it."""
+    """Moves an actuator after a key press; returns what the inputs and the person tell of it.
+
+    After a trial that a fault has ended, or that is wanted again, the actuator is there already: it goes back first.
+    """
     number, verb = list(session.entries).index(label), VERBS[state]
     while True:
-        epoch = ready(driver, desk).epoch
-        same = partial(driver.is_ready, epoch)
+        at = ready(driver, desk)
+        if unpack(at.outputs) >> number & 1 == state:
+            desk.say(f"{label} was told to {verb} before: it goes back first")
+            session.add(look(driver, session, label, 1 - state, watch, desk))
+            continue
+        epoch, same = at.epoch, partial(driver.is_ready, at.epoch)
         with contextlib.suppress(Withdrawn):
             desk.ask(f"ready to {verb} {label}", (Choice("", verb, hold=True), LEAVE), stands=same)
             ended = driver.run(number, state, watch, epoch, time.monotonic() + BEGIN_WITHIN)

@@ -39,6 +39,7 @@ def conclude(file: Path, settings: ArmSettings, session: Session, desk: Desk) ->
         offer(file, before, after, desk)
     if open_ := [label for label in session.entries if label not in found.right]:
         desk.say(f"{len(open_)} of {len(session.entries)} actuators are not commissioned: {', '.join(open_[:8])}")
+        desk.say(f"To try these again, when they are mended: hyperbit commission {file} {' '.join(open_[:8])}")
         raise typer.Exit(1)
     desk.say(f"all {len(session.entries)} actuators are commissioned")
 
@@ -64,7 +65,7 @@ def offer(file: Path, before: str, after: str, desk: Desk) -> None:
         copy = next(p for k in range(1, 10_000) if not (p := file.with_name(f"{file.name}.bak-{k}")).exists())
         write_whole(copy, before.encode())
         write_whole(file, after.encode())
-        desk.say(f"written; the file before is {copy}. Restart a running executor, then `hyperbit commission {file}`")
+        desk.say(f"written; the file before is {copy}. An executor that runs needs a restart.")
 
 
 def report(session: Session, found: Diagnosis, times: dict[str, dict[int, float]], single: list[str]) -> list[str]:

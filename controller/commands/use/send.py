@@ -11,6 +11,7 @@ import typer
 
 from hyperbit.controller.armfile.goal_files import Orientation, parse_goal, read_goal
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.armfile.units import unit_mark
 from hyperbit.controller.commands import ENDPOINT, common
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, counted, print_json, refusal
@@ -62,8 +63,9 @@ def send(
             goal = {**goal_of_pose(client, pose, further), **goal}
         if to is not None and numbers == 3:  # X,Y,Z or X,Y,TH: the arm's dimension decides
             goal["waypoints"] = [waypoint(*parse_goal(to.split(","), client.describe()["dimension"], "--to"))]
-        result = run_goal(client, goal, as_json)
-    print_result(result, further, as_json)
+        unit = "" if as_json else unit_mark(client.describe()["unit"])
+        result = run_goal(client, goal, as_json, unit)
+    print_result(result, further, as_json, unit)
 
 
 def waypoint(position: list[float], orientation: Orientation) -> dict[str, Any]:
@@ -80,8 +82,8 @@ def goal_of_pose(client: Client, name: str, arm: str) -> dict[str, Any]:
     return goal
 
 
-def run_goal(client: Client, goal: dict[str, Any], as_json: bool) -> dict[str, Any]:
-    """Sends a goal, prints its answer and feedback, and returns its result."""
+def run_goal(client: Client, goal: dict[str, Any], as_json: bool, unit: str) -> dict[str, Any]:
+    """Sends a goal, prints its answer and feedback, lengths with their `unit`, and returns its result."""
 
     def show(message: dict[str, Any]) -> None:
         if as_json:
@@ -89,7 +91,7 @@ def run_goal(client: Client, goal: dict[str, Any], as_json: bool) -> dict[str, A
         elif message.get("waypoint") is not None:
             message = filled("feedback", message)
             common.console.print(
-                f"waypoint {message['waypoint'] + 1} of {message['waypoints']}: error {errors_of(message)},"
+                f"waypoint {message['waypoint'] + 1} of {message['waypoints']}: error {errors_of(message, unit)},"
                 f" {counted(message['switches'])} so far"
             )
         elif message.get("accepted"):
@@ -103,7 +105,7 @@ def run_goal(client: Client, goal: dict[str, Any], as_json: bool) -> dict[str, A
         raise typer.Exit(130) from None
 
 
-def print_result(result: dict[str, Any], arm: str, as_json: bool) -> None:
+def print_result(result: dict[str, Any], arm: str, as_json: bool, unit: str) -> None:
     """Prints the result of a goal, or raises its failure. `arm`: see `named`."""
     if as_json and "status" in result:
         print_json(result)
@@ -112,7 +114,9 @@ def print_result(result: dict[str, Any], arm: str, as_json: bool) -> None:
     if not as_json:
         result = filled("result", result)
         position = ", ".join(f"{x:.4f}" for x in result["position"] or ()) or "unknown"
-        common.console.print(f"reached ({position}), error {errors_of(result)}, {counted(result['switches'])}")
+        common.console.print(
+            f"reached ({position}){unit}, error {errors_of(result, unit)}, {counted(result['switches'])}"
+        )
         if (why := result["message"].removeprefix("reached").lstrip("; ")) != "":
             common.console.print(why)
 
@@ -127,9 +131,9 @@ def cancel_goal(client: Client, goal: str, as_json: bool) -> None:
         common.console.print(f"goal {goal}: {answer['message']}")
 
 
-def errors_of(message: dict[str, Any]) -> str:
+def errors_of(message: dict[str, Any], unit: str) -> str:
     """Returns the position error in a message, and the orientation error [rad] if the goal has an orientation."""
     if message["error"] is None:
         return "unknown"
     angle = message["orientation_error"]
-    return f"{message['error']:.4f}" + ("" if angle is None else f" and {angle:.4f} rad")
+    return f"{message['error']:.4f}{unit}" + ("" if angle is None else f" and {angle:.4f} rad")

@@ -18,6 +18,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from hyperbit.controller.armfile.units import unit_mark
 from hyperbit.controller.commands import ENDPOINT, common
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, arm_name, drawn, print_json
@@ -39,7 +40,9 @@ def watch(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = Non
         contextlib.suppress(KeyboardInterrupt),
     ):
         in_lines = as_json or not common.console.is_terminal
-        view, last = View(arm_name(arm), [] if in_lines else client.describe()["actuators"]), ""
+        described = filled("arm", {}) if as_json else client.describe()
+        unit, last = unit_mark(described["unit"]), ""
+        view = View(arm_name(arm), described["actuators"], unit)
         with contextlib.ExitStack() as stack:
             live = None if in_lines else stack.enter_context(Live(view, console=common.console, auto_refresh=False))
             while True:
@@ -53,7 +56,7 @@ def watch(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = Non
                     print_json(message)
                     continue
                 message = filled(key, message)
-                if live is None and key == "state" and (line := line_of(message)) != last:
+                if live is None and key == "state" and (line := line_of(message, unit)) != last:
                     sys.stdout.write(f"{clock_of(message)} {line}\n")
                     sys.stdout.flush()
                     last = line
@@ -68,15 +71,15 @@ def clock_of(state: dict[str, Any]) -> str:
     return time.strftime("%H:%M:%S", time.localtime(state["stamp"]))
 
 
-def line_of(state: dict[str, Any]) -> str:
+def line_of(state: dict[str, Any], unit: str) -> str:
     reason, *faults = reason_and_faults(state)
     simulated = " (simulated)" if state.get("simulated") else ""
-    return "; ".join([f"{state['mode']}{simulated}: {reason}", f"tip ({where_of(state)})", *faults])
+    return "; ".join([f"{state['mode']}{simulated}: {reason}", f"tip {where_of(state, unit)}", *faults])
 
 
-def where_of(state: dict[str, Any]) -> str:
+def where_of(state: dict[str, Any], unit: str) -> str:
     tip = state["tip"]
-    return "unknown" if tip is None else ", ".join(f"{x:.4f}" for x in tip["position"])
+    return "unknown" if tip is None else f"({', '.join(f'{x:.4f}' for x in tip['position'])}){unit}"
 
 
 def progress_of(state: dict[str, Any]) -> str:
@@ -96,10 +99,10 @@ def reason_and_faults(state: dict[str, Any]) -> list[str]:
 
 
 class View:
-    """Renders the latest state and diagnostics of an arm, given by its name and the labels of its actuators."""
+    """Renders the latest state and diagnostics of an arm: its name, its actuators, and what follows a length."""
 
-    def __init__(self, arm: str, actuators: Sequence[str]) -> None:
-        self._arm = arm
+    def __init__(self, arm: str, actuators: Sequence[str], unit: str) -> None:
+        self._arm, self._unit = arm, unit
         modules = [label.partition(".")[0] for label in actuators]
         self._firsts = {k for k in range(1, len(modules)) if modules[k] != modules[k - 1]}
         self._latest: dict[str, dict[str, Any]] = {}
@@ -121,7 +124,7 @@ class View:
     def _summary(self, state: dict[str, Any]) -> RenderableType:
         table = Table.grid(padding=(0, 2))
         table.add_row("mode", Text(state["mode"], style=f"bold {COLOURS.get(state['mode'], '')}"), state["reason"])
-        table.add_row("tip", where_of(state), f"configuration {state['configuration'] or 'unknown'}")
+        table.add_row("tip", where_of(state, self._unit), f"configuration {state['configuration'] or 'unknown'}")
         table.add_row("goal", state["goal"] or "none", progress_of(state))
         return table
 

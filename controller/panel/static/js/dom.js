@@ -30,6 +30,11 @@ export function number(value, digits = 4) {
   return typeof value === "number" && Number.isFinite(value) ? value.toFixed(digits) : "–";
 }
 
+// What follows a length: the unit of the arm's file, or nothing if it names none.
+export function unitMark(arm) {
+  return arm?.unit ? ` ${arm.unit}` : "";
+}
+
 export function clock(seconds) {
   return new Date(seconds * 1000).toLocaleTimeString([], { hour12: false });
 }

@@ -1,7 +1,7 @@
 // The card of the goal: number fields, the plan in words, Go and Hold now.
 
 import { inWords } from "./connection.js";
-import { el, fill, number } from "./dom.js";
+import { el, fill, number, unitMark } from "./dom.js";
 import { situation } from "./editor.js";
 import { incomplete, showFields } from "./goal-fields.js";
 import { showPoses } from "./poses.js";
@@ -177,7 +177,7 @@ function planCard() {
       const all = waypoints.flatMap((waypoint, k) => (waypoint.stages ?? []).map((stage) => ({ k, stage })));
       summary.textContent = `${all.length} ${all.length === 1 ? "stage" : "stages"}, configuration ${waypoints.at(-1).configuration}`;
       fill(list, ...all.slice(0, 100).map(({ k, stage }) => el("li", {}, waypoints.length > 1 ? `point ${k + 1}: ` : "", stage.join(", "))));
-      fill(text, planInNumbers(plan, waypoints));
+      fill(text, planInNumbers(plan, waypoints, unitMark(connection.latest.arm)));
       return;
     }
     summary.textContent = "";
@@ -188,7 +188,7 @@ function planCard() {
   return { words, showPlan };
 }
 
-function planInNumbers(plan, waypoints) {
+function planInNumbers(plan, waypoints, unit) {
   const weighted = plan.cost !== undefined && plan.cost !== plan.switches;
   const least = weighted ? `a cost of at least ${plan.lower_bound}` : `at least ${plan.lower_bound} switches`;
   const proof = plan.certificate === "bound" ? `proven: ${least}` : CERTIFICATES[plan.certificate];
@@ -197,8 +197,8 @@ function planInNumbers(plan, waypoints) {
   return el("dl", {}, ...(homing.length ? pair("homing first", `${homing.length} more ${homing.length === 1 ? "switch" : "switches"}: ${homing.join(", ")}`) : []),
     ...pair("switches", String(plan.switches)),
     ...(weighted ? pair("cost", number(plan.cost)) : []), ...pair("certificate", proof ?? plan.certificate),
-    ...pair("error", number(Math.max(...waypoints.map((waypoint) => waypoint.error ?? 0)), 5)),
-    ...pair("deviation", `${number(excursion)} on the way`));
+    ...pair("error", number(Math.max(...waypoints.map((waypoint) => waypoint.error ?? 0)), 5) + unit),
+    ...pair("deviation", `${number(excursion)}${unit} on the way`));
 }
 
 function hint(editor) {

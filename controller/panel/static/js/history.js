@@ -1,6 +1,6 @@
 // The last goals with their results, and the log.
 
-import { clock, el, fill, number } from "./dom.js";
+import { clock, el, fill, number, unitMark } from "./dom.js";
 
 const MARKS = { succeeded: "✓", running: "▶", canceled: "◼", replaced: "↷", aborted: "✗", skipped: "»" };
 
@@ -14,7 +14,7 @@ export function showGoals(connection, editor) {
         el("span", { class: "faint" }, [
           clock(goal.ended ?? goal.at),
           goal.waypoints > 1 ? `${goal.reached} of ${goal.waypoints} points` : null,
-          typeof goal.error === "number" ? `error ${number(goal.error, 5)}` : null,
+          typeof goal.error === "number" ? `error ${number(goal.error, 5)}${unitMark(connection.latest.arm)}` : null,
           typeof goal.switches === "number" ? `${goal.switches} switches` : null,
           goal.status === "succeeded" ? null : goal.message,
         ].filter(Boolean).join(", ")),
