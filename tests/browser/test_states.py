@@ -109,8 +109,29 @@ def test_a_goal_that_cannot_be_planned_does_not_go(trouble: Trouble, driver: obj
         shown.says("#answer", "✗ point 1 to 2: 0.6 s")
         asked = trouble.daemon.asked[-1][1]["waypoints"]
         assert [set(waypoint) for waypoint in asked] == [{"position"}] * 2, "the planner chooses the times"
+        type_goal(shown, 0.9, 2.4)
+        both = eventually(lambda: shown.run(DRAWN, PLANNED) < 30 and shown.run(DRAWN, BAD))
+        trouble.daemon.answer = {**trouble.daemon.answer, "message": "waypoint 2: out of reach"}
+        type_goal(shown, 1.4, 2.4)
+        shown.says("#answer", "✗ point 2: out of reach")
+        eventually(lambda: shown.run(DRAWN, PLANNED) > 30)  # point 1 is not refused
+        assert 30 < shown.run(DRAWN, BAD) < both
     finally:
         trouble.daemon.answer = accepted
+
+
+DROP = """
+const data = new DataTransfer();
+data.items.add(new File(["x;y\\n0.5;2.8\\n"], "goal.csv"));
+document.querySelector('.view').dispatchEvent(new DragEvent('drop', {cancelable: true, dataTransfer: data}));
+"""
+
+
+def test_why_a_dropped_file_is_no_goal_is_in_sight(trouble: Trouble, driver: object) -> None:
+    shown = opened(trouble, driver, reason="a file is dropped")
+    shown.run(DROP)
+    shown.says("#answer", "✗ semicolons separate the columns")
+    assert not shown.one(".legend .refused").is_displayed(), "no goal is drawn"
 
 
 def test_a_goal_of_this_page_may_be_replaced(trouble: Trouble, driver: object) -> None:

@@ -74,8 +74,9 @@ def result_codes() -> set[str]:
 
 
 def reasons() -> list[str]:
-    """Returns the rows of the table of reasons: name, code, sentence and advice."""
-    cells = ((f"`{it.value}`", str(it.code), it.sentence, it.advice.replace("{arm}", "ARM")) for it in Reason)
+    """Returns the rows of the table of reasons: name with a code other than -1, sentence and advice."""
+    named = ((it, f"`{it.value}`" + (f" {it.code}" if it.code != codes.INVALID_GOAL else "")) for it in Reason)
+    cells = ((name, it.sentence, it.advice.replace("{arm}", "ARM")) for it, name in named)
     return [f"| {' | '.join(row)} |" for row in cells]
 
 

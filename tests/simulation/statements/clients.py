@@ -241,7 +241,7 @@ def reasons_on_the_page() -> dict[str, tuple[int, re.Pattern[str]]]:
     """Returns code and sentence of each reason in the page's table; facts in the sentence match anything."""
     found = {}
     for row in PAGE.read_text().splitlines():
-        if match := re.match(r"\| `([a-z0-9-]+)` \| (-?\d+) \| (.*?) \| ", row):
+        if match := re.match(r"\| `([a-z0-9-]+)`(?: (-\d+))? \| (.*?) \| ", row):
             words = re.sub(r"\\\{[^}]*\\\}", ".*", re.escape(match[3]))
-            found[match[1]] = int(match[2]), re.compile(words, re.DOTALL)
+            found[match[1]] = int(match[2] or -1), re.compile(words, re.DOTALL)
     return found

@@ -106,6 +106,13 @@ export class Editor {
     return this.upToDate && !this.plan.accepted;
   }
 
+  // Whether the refusal names a point, counted from 0; a refusal that names none is of all points.
+  refusedAt(k) {
+    if (!this.refused) return false;
+    const [, first, last = first] = /^waypoint (\d+)(?: to (\d+))?/.exec(this.plan.message) ?? [null, 1, this.points.length];
+    return first <= k + 1 && k + 1 <= last;
+  }
+
   // Requests a plan of the present goal, and again until the plan belongs to the present goal and state.
   // A moving or stopped arm has no plan: the goal is planned when the arm is ready.
   async ask() {

@@ -113,7 +113,7 @@ export function showGoal(connection, editor, notify) {
     const note = running ? "Go replaces the running goal." : editor.goal === null ? "" : obstacle;
     if (why.textContent !== note) why.textContent = note;
     words.classList.toggle("late", editor.goal !== null && !editor.upToDate);
-    const line = editor.goal === null ? hint(editor) : obstacle === REFUSED ? refusal(editor) : note || inBrief(editor.validPlan);
+    const line = obstacle === REFUSED ? refusal(editor) : editor.goal === null ? hint(editor) : note || inBrief(editor.validPlan);
     for (const place of [brief, answer]) {
       if (place.textContent !== line) place.textContent = place.title = line;
       place.classList.toggle("bad", obstacle === REFUSED);

@@ -55,20 +55,24 @@ export function drawCross(view, position, colour) {
   view.line([[x - 7, y + 7], [x + 7, y - 7]]);
 }
 
-// An edited point: a ring of the tolerance's radius, at least a finger wide, and a handle. The ring of a refused goal is
-// dashed and named.
+// An edited point: a ring of the tolerance's radius, at least a finger wide, and a handle. The ring of a refused point is
+// dashed and named, inside of the picture.
 export function drawGoal(view, point, k) {
   const { context, editor } = view;
   const [x, y] = view.toScreen(point.position);
-  const colour = editor.refused ? "bad" : "ghost";
+  const refused = editor.refusedAt(k);
+  const colour = refused ? "bad" : "ghost";
   drawCross(view, point.position, colour);
   context.strokeStyle = context.fillStyle = view.colour(colour);
-  context.setLineDash(editor.refused ? [5, 4] : []);
+  context.setLineDash(refused ? [5, 4] : []);
   context.beginPath();
   context.arc(x, y, Math.max(12, (editor.tolerance ?? 0) * view.scale), 0, 2 * Math.PI);
   context.stroke();
   context.setLineDash([]);
-  if (editor.refused && k === editor.points.length - 1) context.fillText("refused", x + 16, y + 20);
+  if (refused && !editor.refusedAt(k + 1)) {
+    const { clientWidth: width, clientHeight: height } = view.canvas;
+    context.fillText("refused", Math.min(x + 16, width - context.measureText("refused").width - 4), Math.min(y + 26, height - 6));
+  }
   if (editor.points.length > 1) context.fillText(String(k + 1), x + 14, y - 10);
   if (k !== editor.points.length - 1) return;
   const [hx, hy] = handle(view, point);

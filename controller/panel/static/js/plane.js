@@ -134,17 +134,24 @@ export class PlaneView extends View {
     context.strokeStyle = this.colour("grid");
     context.fillStyle = this.colour("faint");
     context.lineWidth = 1;
-    context.font = "11px system-ui, sans-serif";
     const digits = digitsOf(step);
+    const labels = [];
     for (let x = Math.ceil(left / step) * step; x <= right; x += step) {
       const [px] = this.toScreen([x, 0]);
       this.line([[px, 0], [px, height]]);
-      context.fillText(x.toFixed(digits), px + 3, height - 4);
+      labels.push([x.toFixed(digits), px + 3, height - 4]);
     }
     for (let y = Math.ceil(bottom / step) * step; y <= top; y += step) {
       const [, py] = this.toScreen([0, y]);
       this.line([[0, py], [width, py]]);
-      context.fillText(y.toFixed(digits), 3, py - 3);
+      labels.push([y.toFixed(digits), 3, py - 3]);
+    }
+    context.font = "11px system-ui, sans-serif";
+    context.strokeStyle = this.colour("card"); // no line crosses a number
+    context.lineWidth = 3;
+    for (const label of labels) {
+      context.strokeText(...label);
+      context.fillText(...label);
     }
     context.font = "italic bold 13px system-ui, sans-serif";
     context.fillText("x", width - 12, height - 16);

@@ -28,7 +28,7 @@ export class View {
       commanded: Boolean(bodies.commanded),
       ghost: Boolean(planned),
       deviation: Boolean(state?.tip && planned?.excursion),
-      refused: editor.refused,
+      refused: editor.refused && editor.points.length > 0,
       goal: Boolean(state?.target),
       waypoints: this.waypoints.length > 1 || editor.points.length > 1,
       obstacle: this.obstacles.length > 0 || this.sketch !== null,
