@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hyperbit.drivers.canopen.pdo import FIRST_WATCHED, INPUTS, WATCHED_BITS, Bit, Pdo, first_watched, subs_of, union
 from hyperbit.drivers.canopen.status import Traffic
@@ -17,7 +17,7 @@ MOST_BYTES = 4 * _PDO_BYTES  # of one board and direction: four COB-IDs contain 
 
 @dataclass(frozen=True)
 class BoardLayout:
-    settings: NodeWiring  # its entry in the arm's file, or defaults
+    settings: NodeWiring  # its entry in the arm's file, or defaults, with the error state of the wiring
     outputs: tuple[Bit, ...]  # lines with their bits of 6200h or of the maker's object
     inputs: tuple[Bit, ...]  # lines with their bits of 6000h and of watched objects
     watched: tuple[WatchedObject, ...]  # objects with bits of interlocks
@@ -63,6 +63,10 @@ class BoardLayout:
         """Returns the used bits of the watched object k."""
         return sum(bit.place for bit in self.inputs) >> first_watched(k) & (1 << WATCHED_BITS) - 1
 
+    def process_data(self, parameters: int) -> tuple[int, int]:
+        """Returns the object that an RPDO (from 1400h) or a TPDO (from 1800h) carries, and its used bits."""
+        return (INPUTS, self.input_bits) if parameters >= 0x1800 else (self.settings.object, self.output_bits)
+
     @property
     def loss_is_off(self) -> bool:
         """Whether each output bit with a loss level goes electrically off, as `error_state: off` ensures."""
@@ -99,6 +103,7 @@ def lay_out(wiring: Wiring) -> Layout:
     boards: list[BoardLayout] = []
     for place in wiring.boards:
         settings = objects.get(place, NodeWiring(place.bus, place.node))
+        settings = replace(settings, error_state=settings.error_state or wiring.error_state)
         out, into = tuple(outputs.get(place, ())), tuple(inputs.get(place, ()))
         group = groups.get(place, [])
         rpdos = _shared(group, place, outputs, settings.object) if len(group) > 1 else None

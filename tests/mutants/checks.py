@@ -45,6 +45,7 @@ TESTS = {
     "drivers/canopen/boards": _OF_BOARDS,
     "drivers/canopen/boot": _OF_BOARDS,
     "drivers/canopen/run": _OF_BOARDS,
+    "drivers/canopen/sdo": _OF_BOARDS,
     "drivers/canopen/wire": _OF_BOARDS,
     "drivers/simulation": ("tests/drivers", "tests/simulation"),
 }

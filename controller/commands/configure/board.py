@@ -29,6 +29,7 @@ from hyperbit.controller.program import (
 )
 from hyperbit.drivers.canopen.sdo import errors
 from hyperbit.drivers.canopen.sdo.client import Transfer
+from hyperbit.drivers.canopen.sdo.dictionary import Dictionary
 from hyperbit.drivers.canopen.sdo.errors import Errors
 from hyperbit.drivers.canopen.sdo.procedure import Procedure
 from hyperbit.drivers.canopen.tools.session import Node, Session, stopped
@@ -110,8 +111,9 @@ def errors_by_bus(session: Session, node: Node) -> Errors:
         if (yield Transfer(0x1000, 0)).silence is not None:
             yield from session.poll_state(node)
             return
-        register = yield from errors.read_register(name)
-        found.append((yield from errors.read_history(register)))
+        it = Dictionary(name)
+        register = yield from errors.read_register(it)
+        found.append((yield from errors.read_history(it, register)))
 
     fault = session.run({node: steps()})[node] or session.trouble(node[0])
     if found:

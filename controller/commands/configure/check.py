@@ -193,11 +193,11 @@ def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:
         raise InputFaults(eds, [f"cannot be read: {error.strerror}"]) from None
     except UnreadableEds as error:
         raise InputFaults(eds, [str(error)]) from None
-    times, state = timing_of(arm.settings), wiring.error_state
+    times = timing_of(arm.settings)
     answers = []
     for board in compared:
         of_board = sheet.at(board.node)
-        found = lacks(of_board, board, times, state) or unmet(of_board, board, times, state)
+        found = lacks(of_board, board, times) or unmet(of_board, board, times)
         reasons = "; ".join(map(str, found))
         if not found:
             verdict, text = "fits", f"has all needed objects, according to {eds.name}"

@@ -12,7 +12,7 @@ from hyperbit.controller.commands import common
 from hyperbit.controller.commands.arguments import AsJson, Bitrate, Channel, Interface
 from hyperbit.controller.commands.common import CommandFailed, print_json
 from hyperbit.controller.commands.configure.executor_absence import session_without_executor
-from hyperbit.drivers.canopen.boot.pdo_setup import PdoState, pdo_words
+from hyperbit.drivers.canopen.boot.pdo_state import PdoState, pdo_words
 from hyperbit.drivers.canopen.pdo import carries
 from hyperbit.drivers.canopen.sdo import objects
 from hyperbit.drivers.canopen.tools.probe import TEXTS, ProbedNode, probe_bus

@@ -23,7 +23,7 @@ from hyperbit.drivers.canopen.pdo import (
 from hyperbit.drivers.canopen.sdo import objects
 from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
 from hyperbit.drivers.canopen.sdo.objects import Need
-from hyperbit.drivers.canopen.sdo.procedure import BoardError, Procedure, Runner
+from hyperbit.drivers.canopen.sdo.procedure import Procedure, Runner
 from hyperbit.drivers.canopen.status import BoardStatus
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import STATES, Command, State
@@ -310,10 +310,9 @@ class Board:
         if self._brought >> first_watched(k) & 1:
             return
         self.unread.pop(it, None)
-        try:
-            value = objects.watched(self.name, *it, self.layout.watched_bits(k).bit_length() - 1, outcome)
-        except BoardError as error:
-            self.unread[it] = error.fault.message
+        value = int.from_bytes(outcome.data or b"", "little")
+        if fault := objects.unwatchable(self.name, *it, self.layout.watched_bits(k).bit_length() - 1, outcome):
+            self.unread[it] = fault.message
             value = union(bit.place for bit in self.layout.inputs if bit.inverted) >> first_watched(k)  # all open
         self._answer(first_watched(k), WATCHED_BITS, value)
 

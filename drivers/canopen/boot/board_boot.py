@@ -8,19 +8,20 @@ from dataclasses import dataclass
 
 from hyperbit.drivers.canopen.boards.board import Board
 from hyperbit.drivers.canopen.boards.outputs import OutputLines
-from hyperbit.drivers.canopen.boot import configuration, inspection, pdo_search
-from hyperbit.drivers.canopen.boot.inspection import Inspection
+from hyperbit.drivers.canopen.boot import configuration, pdo_search
+from hyperbit.drivers.canopen.boot.inspection import Inspection, inspect
+from hyperbit.drivers.canopen.boot.pdo_setup import set_up_pdos
+from hyperbit.drivers.canopen.boot.pdo_state import pdo_state
 from hyperbit.drivers.canopen.boot.pins import settle
-from hyperbit.drivers.canopen.boot.undo import Undo
-from hyperbit.drivers.canopen.faults import ArmFault, board_error, left_operational, remedy
-from hyperbit.drivers.canopen.layout import BoardLayout
+from hyperbit.drivers.canopen.faults import board_error, left_operational, remedy
 from hyperbit.drivers.canopen.pdo import INPUTS, Pdo, carries, subs_of
-from hyperbit.drivers.canopen.sdo import errors, objects
+from hyperbit.drivers.canopen.sdo import errors
 from hyperbit.drivers.canopen.sdo.client import SDO_TIMEOUT, SdoOutcome, Transfer
-from hyperbit.drivers.canopen.sdo.objects import Need
-from hyperbit.drivers.canopen.sdo.procedure import Ask, BoardError, Order, Procedure, Step, Wait
+from hyperbit.drivers.canopen.sdo.dictionary import Dictionary
+from hyperbit.drivers.canopen.sdo.objects import Need, Place
+from hyperbit.drivers.canopen.sdo.procedure import Ask, BoardError, Procedure, Step, Wait
 from hyperbit.drivers.canopen.wire.cia301 import INVALID, Command, State
-from hyperbit.drivers.canopen.wiring import ErrorState, Timing
+from hyperbit.drivers.canopen.wiring import Timing
 
 _LAST_DUMMY = 7  # 0001h to 0007h are dummy entries (CiA 301, 7.4.7)
 _TELL_STATE = (0x100C, 0x100D, 0x1017)
@@ -30,102 +31,88 @@ _ERROR_TIMEOUT = 0.5  # [s] in which an error may end after the board hears the 
 
 @dataclass
 class Boot:
-    index: int
     board: Board
     outputs: OutputLines  # take the levels that are read back
-    timing: Timing
-    error_state: ErrorState | None  # of the arm's file, for boards without an error mode
-    it: Inspection  # values read from the board
-    undo: Undo
-    kind: int = -1  # device type, 1000h; -1 before its answer
+    it: Inspection
     stopped: bool = False  # found stopped, and not started since
 
 
-def boot_board(
-    index: int, board: Board, outputs: OutputLines, timing: Timing, error_state: ErrorState | None
-) -> Procedure:
+def boot_board(board: Board, outputs: OutputLines, timing: Timing) -> Procedure:
     """Boots a board. Writes nothing to an operational board with the right configuration.
 
     A board that stops during its boot, and answers no longer, is booted again. A refused board gets its objects and its
     NMT state back, except outputs that were written off.
     """
-    undo = Undo(board.layout.settings.object)
+    objects = Dictionary(board.name, timing.boot_timeout, spared=board.layout.settings.object)
     for stops_left in reversed(range(_MOST_STOPS)):
-        boot = Boot(index, board, outputs, timing, error_state, Inspection(board.layout), undo)
+        boot = Boot(board, outputs, Inspection(board.layout, objects, timing))
         try:
-            yield from objects.patient(undo.recorded(_steps(boot)), timing.boot_timeout)
+            for step in _STEPS:
+                yield from step(boot)
             return
         except BoardError as error:
             if error.fault.code != "board-missing":  # node guarding continues, so that its outputs stay unchanged
-                yield from undo.restore()
+                yield from objects.undo()
                 raise
-            if boot.kind >= 0:  # the board may have stopped after its last state, and answer only node guarding
+            if objects.values:  # the board may have stopped after its last state, and answer only node guarding
                 board.state = None
                 board.guard()
                 yield Wait(lambda: board.state is not None, 2 * timing.heartbeat)
                 if board.stopped and stops_left:  # polls continue: the first one has started the board's life time
-                    undo.begin_again()
+                    objects.forget()
                     continue
             board.guarded = False
             raise
 
 
-def _steps(boot: Boot) -> Procedure:
-    for step in _STEPS:
-        yield from step(boot)
-
-
-def find(layout: BoardLayout, timeout: float, board: Board | None) -> Generator[Step, SdoOutcome, tuple[int, bool]]:
-    """Reads the device type, 1000h, until the board answers; returns it, and whether the board was in state stopped.
+def find(objects: Dictionary, timeout: float, board: Board | None) -> Generator[Step, SdoOutcome, bool]:
+    """Reads the device type, 1000h, until the board answers; returns whether the board was in state stopped.
 
     It waits up to `timeout` [s]. `board` records the board's frames; None: nobody listens.
     """
-    name, kind, ordered = layout.name, None, False
+    ordered = False
     before = 0 if board is None else board.frames
 
     def stopped() -> bool:  # a stopped board answers no SDO
         return board is not None and board.state is State.STOPPED and not ordered
 
     tries = 1 + math.ceil(timeout / SDO_TIMEOUT)
-    while kind is None and tries:
+    while tries:
         tries -= 1
-        outcome = yield Ask(Transfer(0x1000, 0, tries=1), unless=stopped)
+        outcome = yield from objects.transfer(Ask(Transfer(0x1000, 0, tries=1), unless=stopped))
         if outcome.silence is None:
-            kind = objects.number(name, 0x1000, 0, 4, outcome)
-        elif stopped():
-            yield from _order(layout, Command.PRE_OPERATIONAL)
+            objects.take(0x1000, 0, 4, outcome)
+            return ordered
+        if stopped():
+            yield from objects.order(Command.PRE_OPERATIONAL, State.STOPPED)
             ordered = True
             tries += 1  # also after the time-out: now it can answer
         elif board is not None and board.frames == before and not board.guarded:
             board.guard()  # a stopped board without heartbeats answers only the remote frames of node guarding
-    if kind is not None:
-        return kind, ordered
-    text = f"board {name} neither booted nor answered within {timeout:g} s: is it powered?"
+    text = f"board {objects.board} neither booted nor answered within {timeout:g} s: is it powered?"
     if board is not None and board.frames > before:
-        text = f"board {name} is heard, but does not answer to 1000h sub 0 within {timeout:g} s"
-    raise BoardError(ArmFault("board-missing", name, text))
+        text = f"board {objects.board} is heard, but does not answer to 1000h sub 0 within {timeout:g} s"
+    objects.refuse("board-missing", text)
+    return ordered
 
 
 def _find(boot: Boot) -> Procedure:
-    boot.kind, boot.stopped = yield from find(boot.board.layout, boot.timing.boot_timeout, boot.board)
-    if boot.stopped:
-        boot.undo.left(State.STOPPED)
+    boot.stopped = yield from find(boot.it.objects, boot.it.timing.boot_timeout, boot.board)
 
 
 def _inspect(boot: Boot) -> Procedure:
     """Reads identity, configuration and PDOs of the board; writes nothing."""
-    board, it = boot.board, boot.it
-    yield from inspection.inspect(it, boot.kind, boot.timing, boot.error_state)
+    yield from inspect(boot.it)
     yield from _learn_state(boot)
-    yield from pdo_search.read_pdos(it, in_full=board.state is State.OPERATIONAL)
+    yield from pdo_search.find_pdos(boot.it, in_full=boot.board.state is State.OPERATIONAL)
 
 
 def _learn_state(boot: Boot) -> Procedure:
     """Waits for the NMT state: for a heartbeat or an answer to node guarding."""
-    board, it, timing = boot.board, boot.it, boot.timing
-    period = it.values.get((0x1017, 0), 0) / 1000
+    board, it, timing = boot.board, boot.it, boot.it.timing
+    period = boot.it.objects.values.get((0x1017, 0), 0) / 1000
     if it.guarded:
-        ours = not it.unmet(configuration.guarding(timing)) and not period
+        ours = not boot.it.objects.unmet(configuration.guarding(timing)) and not period
         period = timing.heartbeat if ours else 0.0
         if ours and not board.guarded:
             board.guard()
@@ -147,7 +134,7 @@ def _configure(boot: Boot) -> Procedure:
     board, it = boot.board, boot.it
     if board.state is State.OPERATIONAL:
         yield from pdo_search.ask_for_sync(it)
-        wrong = it.unmet(it.needs) + it.unmet(it.error_mode)
+        wrong = boot.it.objects.unmet(it.needs) + boot.it.objects.unmet(it.error_mode)
         if not wrong and pdo_search.as_is(it):
             board.state = None  # its NMT state may have changed since its last heartbeat
             return
@@ -155,30 +142,35 @@ def _configure(boot: Boot) -> Procedure:
         yield from _make_it_tell(boot)
     yield from _enter_pre_operational(boot)
     yield from _settle(boot)
-    yield from inspection.ensure(it, it.needs)
-    for pdos in (it.rpdos, it.tpdos):
-        yield from pdo_search.set_up_pdos(it, pdos)
+    yield from configure(it)
     if not board.layout.loss[0]:
-        yield from inspection.ensure(it, it.error_mode)
+        yield from boot.it.objects.meet(it.error_mode)
     board.guarded = False
     if it.guarded:
         board.guard()
     board.state, boot.stopped = None, False  # an earlier heartbeat must not count
-    yield from _order(board.layout, Command.START)
+    yield from boot.it.objects.order(Command.START)
+
+
+def configure(it: Inspection) -> Procedure:
+    """Meets all needs but the error mode, and sets up the PDOs."""
+    yield from it.objects.meet(it.needs)
+    for pdos in (it.rpdos, it.tpdos):
+        yield from set_up_pdos(it, pdos)
 
 
 def _make_it_tell(boot: Boot) -> Procedure:
     """Configures heartbeats or node guarding of a board whose NMT state is unknown, and waits for the state."""
-    yield from inspection.ensure(boot.it, [need for need in boot.it.needs if need.index in _TELL_STATE])
+    yield from boot.it.objects.meet([need for need in boot.it.needs if need.index in _TELL_STATE])
     yield from _learn_state(boot)
 
 
 def _settle(boot: Boot) -> Procedure:
     """Writes the outputs so that START changes no pin."""
     board, outputs = boot.board, boot.outputs
-    held = outputs.bits(boot.index) if board.held else None
-    board.released |= yield from settle(boot.it, boot.error_state, boot.stopped, held)
-    boot.undo.pins_known = True
+    held = outputs.bits(board.index) if board.held else None
+    board.released |= yield from settle(boot.it, boot.stopped, held)
+    boot.it.objects.pins_known = True
 
 
 def _enter_pre_operational(boot: Boot) -> Procedure:
@@ -188,35 +180,33 @@ def _enter_pre_operational(boot: Boot) -> Procedure:
     1029h keeps the board operational in its error state, this write switches the pins to 6200h; so 6200h is settled
     first. The board leaves that error state with the command only, so a lost command is sent again.
     """
-    board, it = boot.board, boot.it
+    board, objects = boot.board, boot.it.objects
     if board.state is State.PRE_OPERATIONAL:
         return
-    stays = not configuration.leaves_operational(it.values.get((0x1029, 1)))
+    stays = not configuration.leaves_operational(objects.values.get((0x1029, 1)))
     unsure = board.state is State.OPERATIONAL and board.held is None and stays
-    if board.state is State.OPERATIONAL and (unmet := it.unmet(configuration.hold_outputs(it.layout))):
-        before = {(n.index, n.sub): it.values[n.index, n.sub] for n in unmet}
+    if board.state is State.OPERATIONAL and (unmet := objects.unmet(configuration.hold_outputs(board.layout))):
+        before = {need.at: objects.values[need.at] for need in unmet}
         if unsure:
             yield from _settle(boot)
-        yield from _write_error_mode(it, {place: 0 for place in before}, unmet)
+        yield from _write_error_mode(objects, dict.fromkeys(before, 0), unmet)
         state = yield from _told_state(boot)
         if not unsure and state is not State.OPERATIONAL:  # the board may have left operational before the write
-            yield from _write_error_mode(it, before, unmet)
-    boot.undo.left(board.state)
-    yield from _order(board.layout, Command.PRE_OPERATIONAL)
+            yield from _write_error_mode(objects, before, unmet)
+    yield from objects.order(Command.PRE_OPERATIONAL, board.state)
     if unsure and (yield from _told_state(boot)) is State.OPERATIONAL:
-        yield from _order(board.layout, Command.PRE_OPERATIONAL)
+        yield from boot.it.objects.order(Command.PRE_OPERATIONAL)
 
 
-def _write_error_mode(it: Inspection, values: dict[tuple[int, int], int], needs: list[Need]) -> Procedure:
+def _write_error_mode(objects: Dictionary, values: dict[Place, int], needs: list[Need]) -> Procedure:
     """Writes 6206h and reads it back.
 
     A board that does not accept a value may still be correct: the final value of 6206h decides.
     """
     for need in needs:
-        place = need.index, need.sub
-        value = it.values[place] & ~need.mask | values[place] & need.mask
-        yield from objects.write(it.name, need, value & 0xFF)
-        it.values[place] = yield from objects.read(it.name, *place, fresh=True)
+        value = objects.values[need.at] & ~need.mask | values[need.at] & need.mask
+        yield from objects.write(*need.at, value & 0xFF, 1)
+        yield from objects.read(*need.at, fresh=True)
 
 
 def _await_operational(boot: Boot) -> Procedure:
@@ -224,40 +214,41 @@ def _await_operational(boot: Boot) -> Procedure:
 
     A board leaves operational when it has just missed a heartbeat of the master.
     """
-    board, timeout = boot.board, boot.timing.boot_timeout
-    up = Wait(lambda: board.state is State.OPERATIONAL, 3 * boot.timing.heartbeat)
+    board, timeout = boot.board, boot.it.timing.boot_timeout
+    up = Wait(lambda: board.state is State.OPERATIONAL, 3 * boot.it.timing.heartbeat)
     if (yield up).data is not None:
         return
     if board.state is State.STOPPED:
-        yield from _order(board.layout, Command.PRE_OPERATIONAL)
+        yield from boot.it.objects.order(Command.PRE_OPERATIONAL)
     if board.state in (State.STOPPED, State.PRE_OPERATIONAL):
         yield from _configure(boot)
     if (yield Wait(up.until, timeout)).data is None:
         seen = "no heartbeat came" if board.state is None else f"it is {board.state.words}"
         text = f"board {board.name} did not become operational within {timeout:g} s; {seen}"
         if board.state is not State.STOPPED:
-            found = yield from errors.read(board.name, boot.it.quirk.ignored_errors)
+            found = yield from errors.read(boot.it.objects, boot.it.quirk.ignored_errors)
             if found.register:
                 text += f"; {found.words(board.emergency)}. {remedy(board.name)}"
-        raise BoardError(ArmFault("board-stopped", board.name, text))
+        boot.it.objects.refuse("board-stopped", text)
 
 
 def _set_error_mode(boot: Boot) -> Procedure:
-    yield from inspection.ensure(boot.it, boot.it.error_mode)
+    yield from boot.it.objects.meet(boot.it.error_mode)
 
 
 def _check_errors(boot: Boot) -> Procedure:
     """Refuses a board with an error in 1001h. An error that reports the loss of the master may end within 0.5 s."""
     board, it = boot.board, boot.it
     for _ in range(6):
-        register = yield from errors.read_register(board.name, it.quirk.ignored_errors)
+        register = yield from errors.read_register(it.objects, it.quirk.ignored_errors)
         if not register:
             board.emergency, board.emergency_register = None, 0  # the end of this emergency was missed
             return
         yield Wait(lambda: False, _ERROR_TIMEOUT / 5)
-    found = yield from errors.read_history(register)
+    found = yield from errors.read_history(it.objects, register)
     if not found.lost(board.emergency):
-        raise BoardError(board_error(board.name, found.words(board.emergency)))
+        fault = board_error(board.name, found.words(board.emergency))
+        it.objects.refuse(fault.code, fault.message)
     it.warn(f"it keeps an error from before this boot: {found.words(board.emergency)}")
     it.kept = found
 
@@ -265,52 +256,52 @@ def _check_errors(boot: Boot) -> Procedure:
 def _read_back(boot: Boot) -> Procedure:
     board, it = boot.board, boot.it
     rpdos, tpdos = pdo_search.adopt(it)
-    pdo_search.check_pairs(it.layout, rpdos)
-    values = yield from _carried_values(board, rpdos)
+    values = yield from _carried_values(it, rpdos)
     board.set_tpdos(tpdos)
     for sub in subs_of(board.layout.input_bits):
         board.begin_input_read()
-        board.set_input(sub, (yield from objects.read(board.name, INPUTS, sub)))
+        board.set_input(sub, (yield from it.objects.read(INPUTS, sub)))
     yield from board.ask_watched()
     if board.state is not State.OPERATIONAL:
         seen = "its state is unknown" if board.state is None else f"it is {board.state.words}"
         text = left_operational(board.name, f"while booting; {seen}")
-        raise BoardError(ArmFault("board-stopped", board.name, text))
-    boot.outputs.adopt(boot.index, rpdos, values)
+        it.objects.refuse("board-stopped", text)
+    boot.outputs.adopt(board.index, rpdos, values)
     kept = it.kept.register if it.kept is not None else 0
     board.warnings, board.ignored_errors = tuple(it.warnings), it.quirk.ignored_errors | kept
-    board.expected = _expected(it, rpdos + tpdos)
-    board.beats.period = 0.0 if it.guarded else it.values[0x1017, 0] / 1000
+    board.expected = _expected(it)
+    board.beats.period = 0.0 if it.guarded else it.objects.values[0x1017, 0] / 1000
     if it.kept is not None and it.kept.history:  # a further error in these bits shows only as a new entry
         board.history = it.kept.history[0]
     board.ready = True
 
 
-def _carried_values(board: Board, rpdos: Iterable[Pdo]) -> Generator[Step, SdoOutcome, dict[int, int]]:
+def _carried_values(it: Inspection, rpdos: Iterable[Pdo]) -> Generator[Step, SdoOutcome, dict[int, int]]:
     """Reads the values of RPDOs' mapped objects, by mapping entry; words and single bits of outputs as bytes.
 
     Raises BoardError if an object cannot be read: the RPDO would overwrite its unknown value.
     """
-    base, bytes_read, values = board.layout.settings.object, dict[int, int](), dict[int, int]()
+    base, bytes_read, values = it.layout.settings.object, dict[int, int](), dict[int, int]()
     for entry in {entry for pdo in rpdos for entry in pdo.mapping if entry >> 16 > _LAST_DUMMY}:
         index, sub, count = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
         carried = carries((entry,), base)
         if not carried:
-            values[entry] = yield from objects.read(board.name, index, sub, (count + 7) // 8)
+            values[entry] = yield from it.objects.read(index, sub, (count + 7) // 8)
             continue
         bit, _, width = carried[0]
         for byte in range(bit // 8, (bit + width + 7) // 8):
             if byte not in bytes_read:
-                bytes_read[byte] = yield from objects.read(board.name, base, 1 + byte)
+                bytes_read[byte] = yield from it.objects.read(base, 1 + byte)
         whole = sum(value << 8 * byte for byte, value in bytes_read.items())
         values[entry] = whole >> bit & (1 << width) - 1
     return values
 
 
-def _expected(it: Inspection, pdos: tuple[Pdo, ...]) -> tuple[Need, ...]:
+def _expected(it: Inspection) -> tuple[Need, ...]:
     """Returns the values of the board's objects after the boot; a later difference is a fault."""
-    needs = {(n.index, n.sub): n for n in (*it.needs, *it.error_mode) if (n.index, n.sub) in it.values}
-    for _, present in (*it.rpdos, *it.tpdos):
+    needs = {need.at: need for need in (*it.needs, *it.error_mode) if need.at in it.objects.values}
+    for wanted in (*it.rpdos, *it.tpdos):
+        present = pdo_state(it.objects, wanted.parameters)
         index, mapping = present.parameters, present.mapping
         needs[index, 1] = Need(index, 1, present.cob_id & ~INVALID, 4, "COB-ID", mask=INVALID | 0x7FF)
         needs[index, 2] = Need(index, 2, present.kind, 1, "transmission type")
@@ -320,12 +311,6 @@ def _expected(it: Inspection, pdos: tuple[Pdo, ...]) -> tuple[Need, ...]:
             for i, entry in enumerate(mapping)
         }
     return tuple(needs.values())
-
-
-def _order(layout: BoardLayout, command: Command) -> Procedure:
-    if (yield Order(command)).data is None:
-        text = f"board {layout.name} could not be told to change its state: {layout.bus} takes no frames"
-        raise BoardError(ArmFault("board-missing", layout.name, text))
 
 
 _STEPS: tuple[Callable[[Boot], Procedure], ...] = (

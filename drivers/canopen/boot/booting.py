@@ -9,7 +9,7 @@ from hyperbit.drivers.canopen.boards.board import Board
 from hyperbit.drivers.canopen.boards.outputs import OutputLines
 from hyperbit.drivers.canopen.boot.board_boot import boot_board
 from hyperbit.drivers.canopen.faults import ArmFault
-from hyperbit.drivers.canopen.wiring import Timing, Wiring
+from hyperbit.drivers.canopen.wiring import Timing
 
 _MOST_REBOOTS = 5  # restarts of one board during its boot
 
@@ -17,9 +17,9 @@ _MOST_REBOOTS = 5  # restarts of one board during its boot
 class Booting:
     """Boots all boards, and collects their faults."""
 
-    def __init__(self, boards: Sequence[Board], outputs: OutputLines, wiring: Wiring, timing: Timing) -> None:
+    def __init__(self, boards: Sequence[Board], outputs: OutputLines, timing: Timing) -> None:
         self._boards, self._outputs = boards, outputs
-        self._error_state, self._timing = wiring.error_state, timing
+        self._timing = timing
         self._pending: set[int] = set()  # indices of boards
         self._reboots: dict[int, int] = {}
         self._bus_faults: dict[str, ArmFault] = {}
@@ -73,7 +73,7 @@ class Booting:
         self._find_lost()
 
     def _start(self, board: Board, now: float) -> None:
-        procedure = boot_board(board.index, board, self._outputs, self._timing, self._error_state)
+        procedure = boot_board(board, self._outputs, self._timing)
         board.runner.start(procedure, partial(self._ended, board.index), now)
 
     def _ended(self, i: int, fault: ArmFault | None, now: float) -> None:

@@ -16,11 +16,9 @@ from typing import NamedTuple
 
 from hyperbit.drivers.canopen.boot.inspection import Inspection
 from hyperbit.drivers.canopen.pdo import OUTPUTS, subs_of, union
-from hyperbit.drivers.canopen.sdo import objects
 from hyperbit.drivers.canopen.sdo.client import SdoOutcome
 from hyperbit.drivers.canopen.sdo.objects import Need
 from hyperbit.drivers.canopen.sdo.procedure import BoardError, Step
-from hyperbit.drivers.canopen.wiring import ErrorState
 
 _ALL = 0xFF
 
@@ -33,32 +31,26 @@ class ErrorMode(NamedTuple):
     told: bool  # both were read from the board; otherwise they follow from `error_state` of the arm's file
 
 
-def settle(
-    it: Inspection, error_state: ErrorState | None, stopped: bool, held: int | None
-) -> Generator[Step, SdoOutcome, bool]:
+def settle(it: Inspection, stopped: bool, held: int | None) -> Generator[Step, SdoOutcome, bool]:
     """Writes the outputs so that START changes no pin. Call in pre-operational, before 6206h is overwritten.
 
     Args:
-        error_state: of the arm's file, for boards without an error mode.
         stopped: whether the board was found stopped: then its pins have their error values.
         held: used output bits as this master commanded them, if the pins have held since; None: unknown.
 
     Returns:
         Whether the boot wrote outputs that the board may have switched itself.
-
-    Raises:
-        BoardError: the board refuses, or does not answer.
     """
-    layout, written = it.layout, False
+    layout, objects, written = it.layout, it.objects, False
     off = union(bit.place for bit in layout.outputs if bit.inverted)
     for sub in (yield from _subs(it)):
         used = layout.output_bits >> 8 * (sub - 1) & _ALL
-        if not used and not (yield from objects.read(it.name, layout.settings.object, sub, fresh=True)):
+        if not used and not (yield from objects.read(layout.settings.object, sub, fresh=True)):
             continue
-        mode = yield from _error_mode(it, sub, error_state)
+        mode = yield from _error_mode(it, sub)
         value = mode.value if stopped and mode.told else off >> 8 * (sub - 1)
         for staged in (True, True, False):  # not each board takes a write in two steps
-            present = yield from objects.read(it.name, layout.settings.object, sub, fresh=True)
+            present = yield from objects.read(layout.settings.object, sub, fresh=True)
             unsure = mode.taken & (mode.value ^ present)
             known = mode.told and held is not None and present & used == held >> 8 * (sub - 1) & _ALL
             if known or not (unsure or mode.taken & used):
@@ -69,7 +61,7 @@ def settle(
             # Written even if it is met: the object may show the command while the pins differ, or the pins while the
             # command differs.
             try:
-                yield from objects.ensure(it.name, need, present, staged)
+                yield from objects.ensure(need, staged)
                 break
             except BoardError:
                 if not staged:
@@ -80,18 +72,18 @@ def settle(
 def _subs(it: Inspection) -> Generator[Step, SdoOutcome, range]:
     """Returns the sub-indices of all output bytes of the board, also of unwired ones."""
     index = it.layout.settings.object
-    count = it.values.get((index, 0))
+    count = it.objects.values.get((index, 0))
     if count is None:  # no output of the board is wired
-        count = (yield from objects.find(it.name, index, 0)) or 0
+        count = (yield from it.objects.find(index, 0)) or 0
     return range(1, 1 + max(count, *subs_of(it.layout.output_bits), 0))
 
 
-def _error_mode(it: Inspection, sub: int, error_state: ErrorState | None) -> Generator[Step, SdoOutcome, ErrorMode]:
+def _error_mode(it: Inspection, sub: int) -> Generator[Step, SdoOutcome, ErrorMode]:
     """Reads what a byte of outputs does in the error state at present."""
     if it.layout.settings.object == OUTPUTS:
-        mode = yield from objects.find(it.name, 0x6206, sub)
+        mode = yield from it.objects.find(0x6206, sub)
         if mode is not None:
-            value = (yield from objects.find(it.name, 0x6207, sub)) if mode else 0
+            value = (yield from it.objects.find(0x6207, sub)) if mode else 0
             return ErrorMode(mode, value or 0, told=value is not None)
-    holds = (it.layout.settings.error_state or error_state) == "hold"
+    holds = it.layout.settings.error_state == "hold"
     return ErrorMode(0 if holds else _ALL, 0, told=False)

@@ -9,6 +9,7 @@ from hyperbit.drivers.canopen.boards.board import Board
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.run.commit import BusCommit
 from hyperbit.drivers.canopen.sdo import errors
+from hyperbit.drivers.canopen.sdo.dictionary import Dictionary
 from hyperbit.drivers.canopen.sdo.errors import Errors
 from hyperbit.drivers.canopen.sdo.procedure import Procedure
 
@@ -48,8 +49,9 @@ class ErrorReads:
                 board.runner.start(self._read(board), partial(self._failed, i), now, yields=True)
 
     def _read(self, board: Board) -> Procedure:
-        register = yield from errors.read_register(board.name)
-        self._end(board.index, (yield from errors.read_history(register)))
+        it = Dictionary(board.name)
+        register = yield from errors.read_register(it)
+        self._end(board.index, (yield from errors.read_history(it, register)))
 
     def _failed(self, i: int, fault: ArmFault | None, now: float) -> None:
         if fault is not None:

@@ -54,7 +54,7 @@ class Master:
             for i, board in enumerate(layout.boards)
         ]
         self._by_id = {(board.layout.bus, board.layout.node): board for board in self._boards}
-        self._booting = Booting(self._boards, self._outputs, wiring, timing)
+        self._booting = Booting(self._boards, self._outputs, timing)
         links = tuple(self.links.values())
         self.heartbeat = Heartbeat(links, self._boards, timing)
         self._inputs = InputWatch(self._boards, links, wiring)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from hyperbit.drivers.canopen.boards.board import Board
 from hyperbit.drivers.canopen.boards.outputs import OutputLines
 from hyperbit.drivers.canopen.pdo import subs_of, union
-from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.sdo.dictionary import Dictionary
 from hyperbit.drivers.canopen.sdo.objects import Need
 from hyperbit.drivers.canopen.sdo.procedure import BoardError, Procedure, Wait
 from hyperbit.drivers.canopen.wire.cia301 import State
@@ -27,7 +27,7 @@ def switch_off(
         yield Wait(lambda: board.state is not None, told_within)
         if board.state is not State.OPERATIONAL:
             return
-    index = board.layout.settings.object
+    index, it = board.layout.settings.object, Dictionary(board.name)
     for sub in subs_of(union(bit.place for bit in board.layout.outputs if bit.line & lines)):
         here = [bit for bit in board.layout.outputs if bit.line & lines and bit.place >> 8 * (sub - 1) & 0xFF]
         off = union(bit.place for bit in here if bit.inverted) >> 8 * (sub - 1)
@@ -35,14 +35,14 @@ def switch_off(
         need = Need(index, sub, off, 1, "outputs", mask=mask)
         for staged in (True, False):  # not each board takes a write in two steps
             outputs.begin_read(board.index)
-            present = yield from objects.read(board.name, index, sub, fresh=True)
+            present = yield from it.read(index, sub, fresh=True)
             if board.ready:
                 outputs.read(board.index, sub, present)
             if need.met(present):
                 break
             staged = staged and need.corrected(present) != 0
             try:
-                yield from objects.ensure(board.name, need, present, staged)
+                yield from it.ensure(need, staged)
                 break
             except BoardError:
                 if not staged:

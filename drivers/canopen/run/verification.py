@@ -11,6 +11,7 @@ from hyperbit.drivers.canopen.faults import board_error
 from hyperbit.drivers.canopen.pdo import subs_of, union
 from hyperbit.drivers.canopen.run.commit import BusCommit
 from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
+from hyperbit.drivers.canopen.sdo.dictionary import Dictionary
 from hyperbit.drivers.canopen.sdo.errors import read_history
 from hyperbit.drivers.canopen.sdo.objects import Need, abort_words
 from hyperbit.drivers.canopen.sdo.procedure import Step, Wait
@@ -227,7 +228,7 @@ class Verification:
             if not register:
                 return
             yield Wait(lambda: False, 4 * _PAUSE)
-        errors = yield from read_history(register)
+        errors = yield from read_history(Dictionary(board.name), register)
         if board.ready:
             board.report(board_error(board.name, errors.words(board.emergency)))
 

@@ -33,6 +33,10 @@ class Transfer:
     # refuses the second one
     staged: bool = False
 
+    @property
+    def place(self) -> tuple[int, int]:
+        return self.index, self.sub
+
 
 class SdoOutcome(NamedTuple):
     """The result of a transfer: exactly one of its fields is set."""

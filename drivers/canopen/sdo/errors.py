@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 from hyperbit.drivers.canopen.sdo import objects
 from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
+from hyperbit.drivers.canopen.sdo.dictionary import Dictionary
 from hyperbit.drivers.canopen.sdo.procedure import Step
 from hyperbit.drivers.canopen.wire import cia301
 
@@ -111,32 +112,29 @@ class Errors(NamedTuple):
         return text
 
 
-def read(board: str, ignored: int = 0) -> Generator[Step, SdoOutcome, Errors]:
-    """Reads the errors of a board, and the history only if 1001h has other bits than `ignored`.
-
-    Raises BoardError if 1001h cannot be read.
-    """
-    register = yield from read_register(board, ignored)
-    return (yield from read_history(register)) if register else Errors(0)
+def read(it: Dictionary, ignored: int = 0) -> Generator[Step, SdoOutcome, Errors]:
+    """Reads the errors of a board, and the history only if 1001h has other bits than `ignored`."""
+    register = yield from read_register(it, ignored)
+    return (yield from read_history(it, register)) if register else Errors(0)
 
 
-def read_register(board: str, ignored: int = 0) -> Generator[Step, SdoOutcome, int]:
-    return (yield from objects.read(board, 0x1001, 0, fresh=True)) & ~ignored
+def read_register(it: Dictionary, ignored: int = 0) -> Generator[Step, SdoOutcome, int]:
+    return (yield from it.read(0x1001, 0, fresh=True)) & ~ignored
 
 
-def read_history(register: int) -> Generator[Step, SdoOutcome, Errors]:
-    """Reads the history of a board whose register was read."""
-    outcome = yield Transfer(0x1003, 0, fresh=True)
+def read_history(it: Dictionary, register: int) -> Generator[Step, SdoOutcome, Errors]:
+    """Reads the history of a board whose register was read. Refuses no board: an unread entry leaves it incomplete."""
+    outcome = yield from it.transfer(Transfer(0x1003, 0, fresh=True))
     if outcome.abort in _NO_HISTORY:
         return Errors(register, None)
     if not outcome.data:
         return Errors(register, (), complete=outcome.abort in objects.ABSENT)
     history, complete, count = [], True, outcome.data[0]
     for sub in range(1, 1 + count):
-        outcome = yield Transfer(0x1003, sub, fresh=True)
+        outcome = yield from it.transfer(Transfer(0x1003, sub, fresh=True))
         history.append(int.from_bytes((outcome.data or b"")[:4], "little"))
         complete &= outcome.data is not None or outcome.abort in objects.ABSENT
-    if history and history[-1]:
-        outcome = yield Transfer(0x1003, 1 + count, fresh=True)  # without a free entry, older ones may be gone
+    if history and history[-1]:  # without a free entry, older ones may be gone
+        outcome = yield from it.transfer(Transfer(0x1003, 1 + count, fresh=True))
         complete &= outcome.abort != objects.NO_SUB_INDEX
     return Errors(register, tuple(history), complete)

@@ -1,23 +1,34 @@
-"""Compares the needs of a wiring with the EDS of a board, without a bus: the boot's own steps run against the EDS."""
+"""Compares the needs of a wiring with the EDS of a board, without a bus, by the steps of the boot."""
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from typing import NamedTuple
 
-from hyperbit.drivers.canopen.boot import configuration, inspection, pdo_search
-from hyperbit.drivers.canopen.boot.inspection import Inspection
+from hyperbit.drivers.canopen.boot import configuration
+from hyperbit.drivers.canopen.boot.board_boot import configure
+from hyperbit.drivers.canopen.boot.inspection import Inspection, inspect
+from hyperbit.drivers.canopen.boot.pdo_search import find_pdos
+from hyperbit.drivers.canopen.boot.pdo_state import MOST_ENTRIES
 from hyperbit.drivers.canopen.layout import BoardLayout
 from hyperbit.drivers.canopen.pdo import INPUTS, subs_of
-from hyperbit.drivers.canopen.sdo import errors, objects
-from hyperbit.drivers.canopen.sdo.client import SdoOutcome
-from hyperbit.drivers.canopen.sdo.procedure import BoardError, Procedure
+from hyperbit.drivers.canopen.sdo import errors
+from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
+from hyperbit.drivers.canopen.sdo.dictionary import Dictionary
+from hyperbit.drivers.canopen.sdo.objects import NO_OBJECT, NO_SUB_INDEX, READ_ONLY, Place
+from hyperbit.drivers.canopen.sdo.procedure import Ask, BoardError, Procedure, Step
 from hyperbit.drivers.canopen.tools.eds import Eds, is_mapping
-from hyperbit.drivers.canopen.tools.eds_board import EdsBoard, EdsTransfer
-from hyperbit.drivers.canopen.wiring import ErrorState, Timing
+from hyperbit.drivers.canopen.wiring import Timing
+
+# SDO abort codes (CiA 301, 7.2.4.3.17).
+_WRITE_ONLY, _NOT_MAPPABLE = 0x0601_0001, 0x0604_0041
+_WRONG_LENGTH, _TOO_HIGH, _TOO_LOW = 0x0607_0010, 0x0609_0031, 0x0609_0032
 
 _MOST_LACKS = 64
-_MOST_ENTRIES = 64  # of a mapping
+_ALL_PARTS = 0xFE  # greatest number of sub-indices
+_ANY_DEVICE = 0x000F_0191  # 1000h: CiA 401 with inputs and outputs
 _PDO_PARAMETERS = (*range(0x1400, 0x1600), *range(0x1800, 0x1A00))
+_BOOLEAN, _LAST_DUMMY = 1, 7  # data type, and index
 
 
 class Lack(NamedTuple):
@@ -32,119 +43,167 @@ class Lack(NamedTuple):
         return f"{self.object}: the EDS says {self.says}; {self.needed}"
 
 
-def lacks(eds: Eds, board: BoardLayout, timing: Timing, error_state: ErrorState | None) -> list[Lack]:
+class Refused(NamedTuple):
+    """A transfer that the EDS refuses."""
+
+    abort: int  # code
+    blamed: Place  # the entry that decides: for a refused mapping, the mapped one
+    told: bool  # the EDS gives all facts on which the answer depends
+
+
+def lacks(eds: Eds, board: BoardLayout, timing: Timing) -> list[Lack]:
     """Returns the needs of a board's wiring that contradict its EDS; see `unmet`."""
-    return [lack for lack in unmet(eds, board, timing, error_state) if lack.told]
+    return [lack for lack in unmet(eds, board, timing) if lack.told]
 
 
-def unmet(eds: Eds, board: BoardLayout, timing: Timing, error_state: ErrorState | None) -> list[Lack]:
-    """Returns all needs of a board's wiring that its EDS does not meet, or does not mention.
-
-    The boot refuses a board at the first unmet need. This need is noted and then taken as met: an absent object as
-    present, a refusing one as writable, and a wrong value as right. The boot is tried again until it succeeds.
-    `error_state` is that of the arm's file, for boards without an error mode.
-    """
-    found: dict[str, Lack] = {}
-    assumed = _identity(eds, board)
-    absent: set[int] = set()
-    writable: set[tuple[int, int]] = set()
-    for _ in range(_MOST_LACKS):
-        made = EdsBoard(eds, assumed, absent, writable)
-        if (refusal := _refusal(made, _boot(board, timing, error_state))) is None:
-            break
-        named = [one for one in made.asked if _named(one, refusal)]
-        causes = _causes(named) or made.asked[-1:]
-        found.setdefault(refusal, _lack(eds, board, causes[0], named, refusal))
-        before = len(assumed) + len(absent) + len(writable)
-        for cause in causes:
-            _take_as_met(eds, board, cause, assumed, absent, writable)
-        if len(assumed) + len(absent) + len(writable) == before:
-            break
-    return list(found.values())
+def unmet(eds: Eds, board: BoardLayout, timing: Timing) -> list[Lack]:
+    """Returns all needs of a board's wiring that its EDS does not meet, or does not mention."""
+    objects = _Sheet(eds, board)
+    try:
+        for _ in _steps(Inspection(board, objects, timing)):
+            raise AssertionError("no step but a transfer")
+    except BoardError:  # no more lacks are told
+        pass
+    return list(objects.lacks.values())
 
 
-def _boot(board: BoardLayout, timing: Timing, error_state: ErrorState | None) -> Procedure:
-    """Runs the steps of the boot that depend on the object dictionary."""
-    it = Inspection(board)
-    kind = yield from objects.read(board.name, 0x1000, 0, 4)
-    yield from inspection.inspect(it, kind, timing, error_state)
-    yield from pdo_search.read_pdos(it, in_full=True)
-    yield from inspection.ensure(it, it.needs)
-    for pdos in (it.rpdos, it.tpdos):
-        yield from pdo_search.set_up_pdos(it, pdos)
-    yield from inspection.ensure(it, it.error_mode)
-    yield from errors.read(board.name)
+def _steps(it: Inspection) -> Procedure:
+    """The steps of the boot that depend on the object dictionary."""
+    yield from it.objects.read(0x1000, 0, 4)
+    yield from inspect(it)
+    yield from find_pdos(it, in_full=True)
+    yield from configure(it)
+    yield from it.objects.meet(it.error_mode)
+    yield from errors.read(it.objects)
+    board = it.layout
     for index, bits in ((board.settings.object, board.output_bits), (INPUTS, board.input_bits)):
         for sub in subs_of(bits):
-            yield from objects.read(board.name, index, sub)
+            yield from it.objects.read(index, sub)
 
 
-def _refusal(board: EdsBoard, procedure: Procedure) -> str | None:
-    """Runs a procedure against a board in process; returns why it ended early, or None."""
-    outcome: SdoOutcome | None = None
-    try:
-        while True:
-            step = next(procedure) if outcome is None else procedure.send(outcome)
-            outcome = board.answer(step)
-    except StopIteration:
-        return None
-    except BoardError as error:
-        return error.fault.message
+class _Sheet(Dictionary):
+    """Answers from an EDS, with its values after power-on. A refusal is noted, and from then on its need is met."""
 
+    def __init__(self, eds: Eds, board: BoardLayout) -> None:
+        super().__init__(board.name)
+        self.lacks: dict[str, Lack] = {}  # by the refusal
+        self._eds, self._watched = eds, board.watched
+        self._refused: dict[Place, Refused] = {}  # the last refusal at each place
+        self._absent = set[int]()  # indices that the EDS lacks, taken as present
+        self._writable = set[Place]()  # entries that accept any value
+        # The identity of the arm's file where the EDS has 0 or nothing: only the device has it.
+        self._identity = {
+            need.at: need.value for need in configuration.identity(board.settings) if not eds.value(*need.at)
+        }
 
-def _identity(eds: Eds, board: BoardLayout) -> dict[tuple[int, int], int]:
-    """Returns the identity of the arm's file where the EDS has 0 or nothing: only the device has it."""
-    needs = configuration.identity(board.settings)
-    return {(need.index, need.sub): need.value for need in needs if not eds.value(need.index, need.sub)}
+    def transfer(self, step: Transfer | Ask) -> Generator[Step, SdoOutcome, SdoOutcome]:
+        yield from ()
+        it = step.transfer if isinstance(step, Ask) else step
+        free = it.index in self._absent or it.place in self._writable
+        if it.data is None:
+            refused = None if free else self._reading(*it.place)
+            data = self._value(it.index, it.sub, free)
+        else:
+            refused = None if free else self._writing(*it.place, int.from_bytes(it.data, "little"), len(it.data))
+            data = b""
+        if refused is None:
+            return SdoOutcome(data=data)
+        self._refused[it.place] = refused
+        return SdoOutcome(abort=refused.abort)
 
+    def refuse(self, code: str, text: str, *places: Place) -> None:
+        """Notes a lack, and takes the need as met. A second refusal in the same words ends the procedure."""
+        if text in self.lacks or len(self.lacks) >= _MOST_LACKS:
+            super().refuse(code, text, *places)
+        causes = [place for place in places if place in self._refused] or list(places[:1])
+        self.lacks[text] = self._lack(causes[0], places, text)
+        for place in causes:
+            self._take_as_met(place)
 
-def _named(asked: EdsTransfer, refusal: str) -> bool:
-    index = f"{asked.index:04X}h"
-    return f"{index} sub {asked.sub}" in refusal or (asked.written is None and index in refusal)
+    def _lack(self, cause: Place, places: tuple[Place, ...], text: str) -> Lack:
+        known = self._told(*cause, read=True)
+        abort, blamed, told = self._refused.get(cause, Refused(0, cause, known))
+        if abort == READ_ONLY:  # an unwritable value may be right if the EDS does not give it
+            indices = {index for index, _ in places}
+            told = told and all(self._told(*place, read=True) for place in self.values if place[0] in indices)
+        entry = self._eds.find(*blamed)
+        if entry is not None and blamed in self._watched:  # access and data type decide, not the value
+            told = entry.access is not None and entry.size > 0
+        text = text.removeprefix(f"board {self.board}: ")
+        if text.startswith(own := f"board {self.board} "):
+            text = f"the board {text.removeprefix(own)}"
+        return Lack(f"{blamed[0]:04X}h sub {blamed[1]}", self._eds.says(*blamed), text, told)
 
+    def _take_as_met(self, cause: Place) -> None:
+        index, sub = self._refused[cause].blamed if cause in self._refused else cause
+        if self._eds.find(index, 0) is None:
+            self._absent |= {index, index + 0x200} if index in _PDO_PARAMETERS else {index}
+        elif is_mapping(index):
+            self._writable.update((index, each) for each in range(1 + MOST_ENTRIES))
+        else:
+            self._writable.add((index, sub))
+        if cause not in self.values:
+            self.values[cause] = int.from_bytes(self._value(*cause, free=True), "little")
 
-def _causes(named: list[EdsTransfer]) -> list[EdsTransfer]:
-    """Returns the transfers that led to a refusal: the refused writes, else the refused reads, else the last read.
+    def _told(self, index: int, sub: int, read: bool) -> bool:
+        """Returns whether the EDS gives all facts for a transfer."""
+        entry = self._eds.find(index, sub)
+        if entry is None:
+            return index not in self._eds.of_modules
+        counted = sub == 0 and not is_mapping(index)  # the sections give the number of entries
+        return entry.access is not None and entry.size > 0 and (counted or entry.value is not None or not read)
 
-    `named`: transfers with the objects that the refusal names.
-    """
-    refused = [one for one in named if one.abort is not None]
-    writes = [one for one in refused if one.written is not None]
-    return writes or refused or named[-1:]
+    def _missing(self, index: int, sub: int) -> int | None:
+        if self._eds.find(index, sub) is not None:
+            return None
+        return NO_OBJECT if self._eds.find(index, 0) is None else NO_SUB_INDEX
 
+    def _reading(self, index: int, sub: int) -> Refused | None:
+        entry, place = self._eds.find(index, sub), (index, sub)
+        abort = _WRITE_ONLY if entry is not None and not entry.readable else self._missing(index, sub)
+        return None if abort is None else Refused(abort, place, self._told(index, sub, read=True))
 
-def _lack(eds: Eds, board: BoardLayout, cause: EdsTransfer, named: list[EdsTransfer], refusal: str) -> Lack:
-    index, sub = cause.blamed
-    entry = eds.find(index, sub)
-    text = refusal.removeprefix(f"board {board.name}: ")
-    if text.startswith(own := f"board {board.name} "):
-        text = f"the board {text.removeprefix(own)}"
-    # An unwritable value may be right if the EDS does not give it.
-    unknown = cause.abort == objects.READ_ONLY and not all(one.told for one in named)
-    told = cause.told and not unknown
-    if entry is not None and (index, sub) in board.watched:  # access and data type decide, not the value
-        told = entry.access is not None and entry.size > 0
-    return Lack(f"{index:04X}h sub {sub}", eds.says(index, sub), text, told)
+    def _value(self, index: int, sub: int, free: bool) -> bytes:
+        """Returns the value that was written, or that after power-on."""
+        entry = self._eds.find(index, sub)
+        value = self.values.get((index, sub), self._identity.get((index, sub)))
+        if value is None and entry is not None:
+            value = entry.value
+        if value is None and sub == 0 and not is_mapping(index):  # the number of entries
+            value = _ALL_PARTS if index in self._absent else self._eds.subs(index)
+        if index == 0x1000 and (entry is None or entry.value is None):
+            value = _ANY_DEVICE
+        size = 4 if entry is None or free else entry.size
+        return ((value or 0) & (1 << 8 * size) - 1).to_bytes(size, "little")
 
+    def _writing(self, index: int, sub: int, value: int, size: int) -> Refused | None:
+        entry, place = self._eds.find(index, sub), (index, sub)
+        blamed, told = place, self._told(index, sub, read=False)
+        if entry is None:
+            abort = self._missing(index, sub)
+        elif not entry.writable or (is_mapping(index) and self._eds.fixed_mappings):
+            abort = READ_ONLY
+        elif size != entry.size:
+            abort = _WRONG_LENGTH
+        elif entry.low is not None and value < entry.low:
+            abort = _TOO_LOW
+        elif entry.high is not None and value > entry.high:
+            abort = _TOO_HIGH
+            told = told and (index != 0x1016 or entry.high >> 16 > 0)  # a limit below all node ids is a mistake
+        elif is_mapping(index) and sub:
+            blamed = value >> 16, value >> 8 & 0xFF
+            abort, told = self._mapping(blamed, value & 0xFF, index < 0x1800), blamed[0] not in self._eds.of_modules
+        else:
+            abort = None
+        return None if abort is None else Refused(abort, blamed, told)
 
-def _take_as_met(
-    eds: Eds,
-    board: BoardLayout,
-    cause: EdsTransfer,
-    assumed: dict[tuple[int, int], int],
-    absent: set[int],
-    writable: set[tuple[int, int]],
-) -> None:
-    """Changes the assumptions for the next board so that it does not refuse this transfer."""
-    place = cause.blamed
-    if cause.abort is None and place not in board.watched:  # a wrong value that must not be written
-        right = {(need.index, need.sub): need.value for need in configuration.identity(board.settings)}
-        assumed[place] = 0x000F_0191 if place == (0x1000, 0) else right.get(place, 0xFE if place[1] == 0 else 0)
-    elif eds.find(place[0], 0) is None:
-        absent.add(place[0])
-        if place[0] in _PDO_PARAMETERS:
-            absent.add(place[0] + 0x200)
-    elif is_mapping(place[0]):
-        writable.update((place[0], sub) for sub in range(1 + _MOST_ENTRIES))
-    else:
-        writable.add(place)
+    def _mapping(self, place: Place, bits: int, rpdo: bool) -> int | None:
+        """Returns the abort code for a mapped object that does not exist, or cannot be mapped in this length."""
+        if place[0] in self._absent or place in self._writable:
+            return None
+        mapped, dummy = self._eds.find(*place), place[0] <= _LAST_DUMMY
+        if mapped is None:
+            return _NOT_MAPPABLE if dummy else self._missing(*place)
+        right = rpdo if dummy else mapped.mappable and not (rpdo and mapped.access in ("ro", "const"))
+        width = 1 if mapped.data_type == _BOOLEAN else 8 * mapped.size
+        return None if right and width == bits else _NOT_MAPPABLE

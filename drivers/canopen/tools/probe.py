@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable
 from dataclasses import dataclass, field
 
-from hyperbit.drivers.canopen.boot.pdo_setup import PdoState, read_pdo
+from hyperbit.drivers.canopen.boot.pdo_state import PdoState, read_pdo
 from hyperbit.drivers.canopen.faults import ArmFault, BusError
-from hyperbit.drivers.canopen.sdo import objects
 from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
+from hyperbit.drivers.canopen.sdo.dictionary import Dictionary
+from hyperbit.drivers.canopen.sdo.objects import NO_OBJECT, NO_SUB_INDEX
 from hyperbit.drivers.canopen.sdo.procedure import BoardError, Procedure, Step
 from hyperbit.drivers.canopen.tools.session import Session
 from hyperbit.drivers.canopen.wire.cia301 import State
@@ -77,9 +78,10 @@ def _ask(session: Session, bus: str, it: ProbedNode, in_full: bool) -> Procedure
         outcome = yield Transfer(index, 0)
         if outcome.data is not None:
             it.texts[index] = outcome.data.decode("latin-1").rstrip("\0 ")
+    objects = Dictionary(str(it.node))
     for first, pdos in ((0x1400, it.rpdos), (0x1800, it.tpdos)):
         for parameters in range(first, first + _PDOS):
-            if (pdo := (yield from read_pdo(str(it.node), parameters))) is not None:
+            if (pdo := (yield from read_pdo(objects, parameters))) is not None:
                 pdos.append(pdo)
 
 
@@ -97,5 +99,5 @@ def _store(it: ProbedNode, index: int, sub: int, outcome: SdoOutcome) -> None:
     elif outcome.abort is None:
         text = f"it stopped answering at {index:04X}h sub {sub}: {outcome.silence}"
         raise BoardError(ArmFault("board-missing", str(it.node), text))
-    elif outcome.abort not in (objects.NO_OBJECT, objects.NO_SUB_INDEX):
+    elif outcome.abort not in (NO_OBJECT, NO_SUB_INDEX):
         it.refused[index, sub] = outcome.abort

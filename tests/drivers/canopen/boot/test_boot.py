@@ -125,6 +125,15 @@ def test_a_board_that_starts_anew_again_and_again_is_given_up() -> None:
     assert codes(world) == [("can0/5", "board-rebooted")]
 
 
+def test_a_stopped_board_that_is_refused_by_its_first_answer_is_stopped_again() -> None:
+    world = World().up()
+    world.nmt(Command.STOP)
+    world.run(0.5)
+    world.objects.refused[0x1000, 0] = ABSENT
+    [fault] = world.boot()
+    assert ("1000h sub 0" in fault.message, world.board().state) == (True, State.STOPPED)
+
+
 def test_a_stopped_board_boots_also_if_the_boot_timeout_is_as_short_as_the_first_question() -> None:
     world = World(timing=Timing(boot_timeout=0.5), variant="guarding-with-1029h")
     world.board().obey(Command.STOP)

@@ -25,7 +25,7 @@ def found(tmp_path: Path, *changes: tuple[str, str], added: str = "", **options:
     channels = options.pop("channels", (Channel("a", "can0", 5, 3, 2),))
     wiring = Wiring((BUS,), channels, **options)
     board = next(board for board in lay_out(wiring).boards if board.node == 5)
-    return [str(lack) for lack in lacks(Eds(path.read_bytes(), 5), board, Timing(), wiring.error_state)]
+    return [str(lack) for lack in lacks(Eds(path.read_bytes(), 5), board, Timing())]
 
 
 def test_the_simulated_board_lacks_nothing(tmp_path):
@@ -52,8 +52,9 @@ def test_an_object_of_an_interlock_must_be_there_readable_and_large_enough(tmp_p
 
 def test_all_lacks_are_told_and_not_only_the_first(tmp_path):
     changes = [("1017", "AccessType=const"), ("6206sub1", "AccessType=ro"), ("1800sub1", "AccessType=ro")]
-    told = found(tmp_path, *changes, ("1800sub1", "DefaultValue=0x700"))
-    assert [lack[:11] for lack in told] == ["1017h sub 0", "1800h sub 1", "6206h sub 1"]
+    changes += [("1800sub1", "DefaultValue=0x700"), ("6005", "DataType=0x0006")]
+    told = found(tmp_path, *changes)
+    assert [lack[:11] for lack in told] == ["6005h sub 0", "1017h sub 0", "1800h sub 1", "6206h sub 1"]
 
 
 def test_a_value_that_is_delivered_wrong_and_read_only_is_a_lack(tmp_path):

@@ -191,7 +191,7 @@ def verdict(folder: Path, text: str, encoding: str = "utf-8") -> tuple[str, str,
     wiring = Wiring((BusWiring("can0", "none", "can0"),), CHANNELS)
     [board] = lay_out(wiring).boards
     eds = Eds(path.read_bytes(), 5)
-    found = unmet(eds, board, Timing(), None)
+    found = unmet(eds, board, Timing())
     kind = "fits" if not found else "lacks" if any(lack.told for lack in found) else "open"
     return kind, "; ".join(map(str, found)), eds.notes
 
