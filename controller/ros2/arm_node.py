@@ -27,7 +27,7 @@ from hyperbit.controller.ros2.wire import names, qos
 from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.session import Session
 
-ROSOUT = qos.Qos(durability=qos.Durability.TRANSIENT_LOCAL, depth=1000)
+ROSOUT = qos.Qos(latched=True, depth=1000)
 SAME = ("name", "unit", "frames", "base", "actuators", "dimension", "version")  # fields that identify the node's arm
 MOST_SAID = 20  # sentences on /rosout in a second
 MOST_LETTERS = 1000  # of a sentence, which may quote a message from the network

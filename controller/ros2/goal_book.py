@@ -12,7 +12,7 @@ import msgspec
 from hyperbit.controller.host.files import read_kept
 from hyperbit.controller.host.keeper import write_whole
 from hyperbit.controller.ros2.answers import GoalResult
-from hyperbit.controller.ros2.wire.action_server import LATEST
+from hyperbit.controller.ros2.wire.session import LATEST
 
 KEPT = 60.0  # [s] for which a result is kept after its goal's end
 MOST_GOALS = 64  # in the file; the oldest results above this number are forgotten

@@ -19,9 +19,7 @@ from hyperbit.controller.ros2.jobs import Jobs, Passage, Say, Task, Withdrawn
 from hyperbit.controller.ros2.messages import ERROR, INFO, WARN
 from hyperbit.controller.ros2.poses import BadGoal, Fields
 from hyperbit.controller.ros2.trajectories import time_tolerance
-from hyperbit.controller.ros2.wire.action_core import IllegalTransition
-from hyperbit.controller.ros2.wire.action_events import Status
-from hyperbit.controller.ros2.wire.action_server import ActionServer, GoalHandle, Policy, stamp_now
+from hyperbit.controller.ros2.wire.actions import ActionServer, GoalHandle, IllegalTransition, Policy, Status
 from hyperbit.controller.ros2.wire.node import Node
 
 ACTION = "control_msgs/action/FollowJointTrajectory"
@@ -156,7 +154,7 @@ class ActionGoals:
         allowed = time_tolerance(handle.goal)
         goal = {**self._kinds[kind].convert(handle.goal), "id": daemon_id(handle)}
         joints = tuple(handle.goal.trajectory.joint_names)
-        booked = BookedGoal(handle.uuid.hex(), kind, joints, stamp_now(self._computer))
+        booked = BookedGoal(handle.uuid.hex(), kind, joints, self._computer.stamp())
         if why := self._book.add(booked):
             raise BadGoal(why)
         begun = OpenGoal(booked, handle, self._computer.monotonic(), decided=False)

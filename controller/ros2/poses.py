@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hyperbit.controller.manipulator.frames import Frame
-from hyperbit.controller.ros2.wire.action_server import LATEST, SECOND
+from hyperbit.controller.ros2.wire.session import LATEST, SECOND
 
 Fields = dict[str, Any]
 

@@ -17,11 +17,9 @@ from hyperbit.controller.ros2.goals import ActionGoals
 from hyperbit.controller.ros2.jobs import CANCEL, MOST_WAITING, STOP, Jobs, Order, Passage, Say, Task, Withdrawn
 from hyperbit.controller.ros2.messages import INFO, WARN, header
 from hyperbit.controller.ros2.poses import BadGoal, Fields, Place, check_stamp, seconds, waypoint
-from hyperbit.controller.ros2.wire.action_server import stamp_now
+from hyperbit.controller.ros2.wire.endpoints import Received, Request
 from hyperbit.controller.ros2.wire.node import Node
-from hyperbit.controller.ros2.wire.services import Request
 from hyperbit.controller.ros2.wire.session import Computer
-from hyperbit.controller.ros2.wire.topics import Received
 
 LEAST_STEP = 0.1  # [s] between two poses of a path without times
 MOST_POSES = 10_000
@@ -159,7 +157,7 @@ class Requests:
 
     def _later(self, name: str, convert: Callable[[Any], Fields]) -> Callable[[Received], None]:
         def send(message: Any, passage: Passage) -> None:
-            booked = BookedGoal(self._computer.uuid().hex, name, (), stamp_now(self._computer), client=False)
+            booked = BookedGoal(self._computer.uuid().hex, name, (), self._computer.stamp(), client=False)
             self._remember(booked.id)
             try:
                 self._goals.check_room()

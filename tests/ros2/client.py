@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from hyperbit.controller.ros2.wire import qos
-from hyperbit.controller.ros2.wire.action_events import Status
+from hyperbit.controller.ros2.wire.actions import Status
+from hyperbit.controller.ros2.wire.endpoints import NoReply
 from hyperbit.controller.ros2.wire.node import Node
-from hyperbit.controller.ros2.wire.services import NoReply
 from tests.waiting import PATIENCE
 
 FOLLOW = "control_msgs/action/FollowJointTrajectory"

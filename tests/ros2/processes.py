@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from hyperbit.controller.ros2.wire import qos
-from hyperbit.controller.ros2.wire.action_events import CancelCode
+from hyperbit.controller.ros2.wire.actions import CancelCode
+from hyperbit.controller.ros2.wire.endpoints import NoReply
 from hyperbit.controller.ros2.wire.node import Node
-from hyperbit.controller.ros2.wire.services import NoReply
 from hyperbit.controller.ros2.wire.session import Session
 from tests.network.played import Router
 from tests.ros2.client import Client, Result
@@ -18,7 +18,7 @@ from tests.system.stack import arms
 from tests.system.stack.processes import Process, commands
 from tests.waiting import eventually
 
-ROSOUT = qos.Qos(durability=qos.Durability.TRANSIENT_LOCAL, depth=1000)
+ROSOUT = qos.Qos(latched=True, depth=1000)
 TIP, ACTUATORS = (f"/flat/{kind}_controller/follow_joint_trajectory" for kind in ("tip", "actuator"))
 VICTIMS = {"bridge": ["bridge"], "planner": ["planner"], "executor": ["executor"], "daemon": ["executor", "planner"]}
 PATIENCE = 300.0  # [s]; a busy machine starts a daemon slowly

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from hyperbit.controller.ros2.wire.action_events import Status
+from hyperbit.controller.ros2.wire.actions import Status
 from hyperbit.controller.ros2.wire.cdr import message
 from tests.ros2.world.inputs import ACTION, TIP, TYPES
 from tests.ros2.world.network import Killed

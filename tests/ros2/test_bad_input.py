@@ -4,7 +4,7 @@ import pytest
 import zenoh
 
 from hyperbit.controller.ros2.arm_node import MOST_LETTERS
-from hyperbit.controller.ros2.wire.action_events import Status
+from hyperbit.controller.ros2.wire.actions import Status
 from hyperbit.controller.ros2.wire.cdr import serialize
 from tests import told
 from tests.ros2.rig import ID, Rig, trajectory_goal

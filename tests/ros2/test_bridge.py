@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.ros2.wire import qos
-from hyperbit.controller.ros2.wire.action_events import Status
+from hyperbit.controller.ros2.wire.actions import Status
 from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.session import Session
 from hyperbit.controller.ros2.wire.tokens import Kind

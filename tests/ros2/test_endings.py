@@ -4,7 +4,7 @@ import pytest
 
 from hyperbit.controller.ros2 import goals
 from hyperbit.controller.ros2.goal_book import MOST_OWED
-from hyperbit.controller.ros2.wire.action_events import Status
+from hyperbit.controller.ros2.wire.actions import Status
 from tests.ros2.rig import CANCEL, ID, Rig, trajectory_goal
 
 YEAR = 31_536_000  # [s]

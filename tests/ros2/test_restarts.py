@@ -11,7 +11,7 @@ from hyperbit.controller.ros2.answers import GoalResult
 from hyperbit.controller.ros2.goal_book import BookedGoal, GoalBook
 from hyperbit.controller.ros2.goals import LOST
 from hyperbit.controller.ros2.messages import STALE
-from hyperbit.controller.ros2.wire.action_events import Status
+from hyperbit.controller.ros2.wire.actions import Status
 from tests import told
 from tests.clock import Clock
 from tests.ros2.rig import ID, UUID, Rig

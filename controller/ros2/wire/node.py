@@ -3,26 +3,29 @@
 import contextlib
 from collections import Counter, deque
 from collections.abc import Callable
-from typing import Protocol, Self, TypeVar
+from typing import Self, TypeVar
 
 import zenoh
 
 from hyperbit.controller.ros2.wire import names
 from hyperbit.controller.ros2.wire import qos as presets
-from hyperbit.controller.ros2.wire.action_server import ActionServer, GoalHandle, Policy
+from hyperbit.controller.ros2.wire.actions import ActionServer, GoalHandle, Policy
+from hyperbit.controller.ros2.wire.endpoints import (
+    Client,
+    Endpoint,
+    Place,
+    Publisher,
+    Received,
+    Request,
+    Service,
+    Subscriber,
+)
 from hyperbit.controller.ros2.wire.qos import Qos
-from hyperbit.controller.ros2.wire.services import Client, Request, Service
 from hyperbit.controller.ros2.wire.session import Session
-from hyperbit.controller.ros2.wire.tokens import ADMIN_SPACE, BadToken, Endpoint, Kind, Token, parse
-from hyperbit.controller.ros2.wire.topics import Publisher, Received, Subscriber
+from hyperbit.controller.ros2.wire.tokens import ADMIN_SPACE, BadToken, Kind, Token, parse
 from hyperbit.controller.ros2.wire.types import Types
 
-
-class Closable(Protocol):
-    def close(self) -> None: ...
-
-
-T = TypeVar("T", bound=Closable)
+T = TypeVar("T", bound=Endpoint | ActionServer)
 MOST_QUOTED = 200  # letters of a type and its hash
 MOST_TOLD = 100  # remembered tokens of reported conflicts
 # Kinds of endpoints that exchange messages.
@@ -63,8 +66,8 @@ class Node:
         number = session.next_number()
         self.token = Token(domain, session.zid, number, number, Kind.NODE, name, namespace, enclave or "/")
         self._token = session.zenoh.liveliness().declare_token(self.token.text)
-        self._made: list[Closable] = []
-        self._tokens: dict[tuple[Kind, str], Token] = {}  # of the endpoints by kind and name
+        self._place = Place(session, self.types, self.token)
+        self._made: list[Endpoint | ActionServer] = []
         self._watching: zenoh.Subscriber[None] | None = None
 
     def __enter__(self) -> Self:
@@ -74,40 +77,24 @@ class Node:
         self.close()
 
     def publisher(self, topic: str, type_name: str, qos: Qos = presets.DEFAULT) -> Publisher:
-        """Returns a publisher.
-
-        Args:
-            topic: absolute name, or relative to namespace ("tf") or node ("~/state").
-            type_name: such as std_msgs/msg/String.
-
-        Raises:
-            BadName: the topic's name is not allowed.
-            UnknownType: the type is not known.
-        """
-        token, key = self._endpoint(Kind.PUBLISHER, topic, type_name, qos)
-        return self._keep(Publisher(self.session, token, key, type_name, self.types))
+        """Returns a publisher. Names, types and errors are those of `Endpoint`, here and below."""
+        return self._keep(Publisher(self._place, topic, type_name, qos))
 
     def subscriber(
         self, topic: str, type_name: str, callback: Callable[[Received], None], qos: Qos = presets.DEFAULT
     ) -> Subscriber:
-        """Returns a subscriber. Arguments and errors are those of `publisher`."""
-        token, key = self._endpoint(Kind.SUBSCRIBER, topic, type_name, qos)
-        return self._keep(Subscriber(self.session, token, key, type_name, callback, self.types))
+        return self._keep(Subscriber(self._place, topic, type_name, callback, qos))
 
     def service(self, name: str, type_name: str, handler: Callable[[Request], None]) -> Service:
-        """Returns a service. Arguments and errors are those of `publisher`."""
-        token, key = self._endpoint(Kind.SERVICE, name, type_name, presets.DEFAULT)
-        return self._keep(Service(self.session, token, key, type_name, handler, self.types))
+        return self._keep(Service(self._place, name, type_name, handler))
 
     def client(self, name: str, type_name: str) -> Client:
-        """Returns a client of a service. Arguments and errors are those of `publisher`."""
-        token, key = self._endpoint(Kind.CLIENT, name, type_name, presets.DEFAULT)
-        return self._keep(Client(self.session, token, key, type_name, self.types))
+        return self._keep(Client(self._place, name, type_name))
 
     def action_server(
         self, name: str, type_name: str, on_goal: Callable[[GoalHandle], None], policy: Policy = Policy()
     ) -> ActionServer:
-        """Returns an action server. Arguments and errors are those of `publisher`.
+        """Returns an action server.
 
         `on_goal` is called with each new goal, in a thread of Zenoh's; it accepts or rejects the goal, then or later.
         """
@@ -117,7 +104,7 @@ class Node:
         """Returns the number of dropped messages by endpoint's name, then by reason."""
         found: dict[str, Counter[str]] = {}
         for it in self._made:
-            if isinstance(it, Subscriber | Service) and it.token.endpoint:
+            if isinstance(it, Subscriber | Service) and it.token.endpoint:  # others receive nothing to drop
                 found.setdefault(it.token.endpoint.name, Counter()).update(it.dropped)
         return found
 
@@ -156,14 +143,6 @@ class Node:
             it.close()
         self._token.undeclare()  # type: ignore[no-untyped-call]
 
-    def _endpoint(self, kind: Kind, name: str, type_name: str, qos: Qos) -> tuple[Token, str]:
-        absolute = names.resolve(name, self.token.namespace, self.token.node)
-        type_hash = self.types.hash(type_name)
-        endpoint = Endpoint(absolute, names.dds_type(type_name), type_hash, qos)
-        token = self.token._replace(id=self.session.next_number(), kind=kind, endpoint=endpoint)
-        self._tokens[kind, absolute] = token
-        return token, names.data_key(self.token.domain, absolute, type_name, type_hash)
-
     def _misfit(self, other: Token) -> str | None:
         """Returns why another node or endpoint conflicts with this node, or None."""
         if (other.zid, other.nid) == (self.token.zid, self.token.nid):
@@ -172,10 +151,12 @@ class Node:
         if other.endpoint is None:
             same = (other.node, other.namespace) == (self.token.node, self.token.namespace)
             return f"another node {name} is there: end one of both, or rename it" if same else None
-        end, own = other.endpoint, self._tokens.get((OPPOSITE[other.kind], other.endpoint.name))
-        if own is None or own.endpoint is None or (end.type, end.hash) == (own.endpoint.type, own.endpoint.hash):
+        end, kind = other.endpoint, OPPOSITE[other.kind]
+        tokens = (it.token for it in self._made if isinstance(it, Endpoint) and it.token.kind is kind)
+        own = next((it.endpoint for it in tokens if it.endpoint and it.endpoint.name == end.name), None)
+        if own is None or (end.type, end.hash) == (own.type, own.hash):
             return None
-        given, expected = f"{end.type}/{end.hash}"[:MOST_QUOTED], f"{own.endpoint.type}/{own.endpoint.hash}"
+        given, expected = f"{end.type}/{end.hash}"[:MOST_QUOTED], f"{own.type}/{own.hash}"
         return f"{end.name}: no messages are exchanged with {name!r}: its type is {given!r}, expected {expected!r}"
 
     def _keep(self, made: T) -> T:

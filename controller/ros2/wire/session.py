@@ -17,6 +17,8 @@ import zenoh.ext
 
 from hyperbit.controller.ros2.wire.tokens import ADMIN_SPACE, BadToken, Token, parse
 
+SECOND = 1_000_000_000  # [ns]
+LATEST = 2**31 * SECOND - 1  # [ns since 1970], of the times of ROS 2
 ROUTER = "tcp/localhost:7447"
 MOST_FRAGMENTS = 10_000_000  # bytes, about: longest message that Zenoh assembles; it drops longer ones
 LONGEST_PAUSE = 4.0  # [s] between two attempts to reach the router
@@ -39,6 +41,10 @@ class Computer(NamedTuple):
     def time(self) -> float:
         """Returns the UNIX time [s]."""
         return self.time_ns() / 1e9
+
+    def stamp(self) -> int:
+        """Returns the UNIX time [ns], at most LATEST: the clock may be set to any year."""
+        return min(self.time_ns(), LATEST)
 
 
 class Session:

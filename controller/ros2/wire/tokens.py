@@ -5,9 +5,7 @@ from typing import NamedTuple
 
 import xxhash
 
-from hyperbit.controller.ros2.wire import qos
 from hyperbit.controller.ros2.wire.names import demangle, mangle
-from hyperbit.controller.ros2.wire.qos import BadQos, Qos
 
 ADMIN_SPACE = "@ros2_lv"
 NODE_PARTS, ENDPOINT_PARTS = 9, 13
@@ -25,13 +23,13 @@ class BadToken(ValueError):
     """A key is no token of rmw_zenoh."""
 
 
-class Endpoint(NamedTuple):
+class EndpointToken(NamedTuple):
     """The fields of an endpoint's token that a node's token lacks."""
 
     name: str  # absolute name of the topic or service
     type: str  # DDS name, such as std_msgs::msg::dds_::String_
     hash: str  # RIHS01
-    qos: Qos
+    qos: str  # quality of service, `Qos.text`
 
 
 class Token(NamedTuple):
@@ -43,7 +41,7 @@ class Token(NamedTuple):
     node: str
     namespace: str = "/"  # "/": none
     enclave: str = "/"  # "/": none
-    endpoint: Endpoint | None = None  # None for a node
+    endpoint: EndpointToken | None = None  # None for a node
 
     @property
     def text(self) -> str:
@@ -52,7 +50,7 @@ class Token(NamedTuple):
         parts = [ADMIN_SPACE, str(self.domain), self.zid, self.nid, self.id, self.kind, *names]
         if self.endpoint:
             end = self.endpoint
-            parts += [mangle(end.name), mangle(end.type), mangle(end.hash), qos.encode(end.qos)]
+            parts += [mangle(end.name), mangle(end.type), mangle(end.hash), end.qos]
         return "/".join(parts)
 
     @property
@@ -75,8 +73,8 @@ def parse(text: str) -> Token:
         endpoint = None
         if kind is not Kind.NODE:
             name, type_name, type_hash = (demangle(part) for part in parts[9:12])
-            endpoint = Endpoint(name, type_name, type_hash, qos.parse(parts[12]))
-    except (ValueError, BadQos) as error:
+            endpoint = EndpointToken(name, type_name, type_hash, parts[12])
+    except ValueError as error:
         raise BadToken(f"{text!r} is no token of rmw_zenoh: {error}") from None
     enclave, namespace, node = (demangle(part) for part in parts[6:9])
     zid, nid, number = parts[2:5]

@@ -7,9 +7,7 @@ from typing import Any
 
 import pytest
 
-from hyperbit.controller.ros2.wire.action_core import IllegalTransition
-from hyperbit.controller.ros2.wire.action_events import CancelCode, Status
-from hyperbit.controller.ros2.wire.action_server import GoalHandle, Policy
+from hyperbit.controller.ros2.wire.actions import CancelCode, GoalHandle, IllegalTransition, Policy, Status
 from hyperbit.controller.ros2.wire.cdr import BadMessage
 from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.session import Session

@@ -15,10 +15,10 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.ros2.wire import qos
+from hyperbit.controller.ros2.wire.endpoints import Received
 from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.session import Session
 from hyperbit.controller.ros2.wire.tokens import Kind
-from hyperbit.controller.ros2.wire.topics import Received
 from tests.waiting import PATIENCE, eventually
 
 PEERS = Path(__file__).with_name("peers")

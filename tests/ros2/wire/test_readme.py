@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from hyperbit.controller.ros2.wire import node
-from hyperbit.controller.ros2.wire.action_events import Status
+from hyperbit.controller.ros2.wire.actions import Status
+from hyperbit.controller.ros2.wire.endpoints import Received
 from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.session import Session
-from hyperbit.controller.ros2.wire.topics import Received
 from tests.ros2.client import Client, Result, trajectory
 from tests.waiting import PATIENCE, eventually
 

@@ -12,11 +12,10 @@ import zenoh
 from hyperbit.controller.ros2.wire import qos
 from hyperbit.controller.ros2.wire.attachments import Attachment
 from hyperbit.controller.ros2.wire.cdr import HEADER, MOST_BYTES, deserialize
+from hyperbit.controller.ros2.wire.endpoints import MOST_OPEN, NoReply, Received, Request
 from hyperbit.controller.ros2.wire.node import Node
-from hyperbit.controller.ros2.wire.services import MOST_OPEN, NoReply, Request
 from hyperbit.controller.ros2.wire.session import NoRouter, Session
 from hyperbit.controller.ros2.wire.tokens import Kind
-from hyperbit.controller.ros2.wire.topics import Received
 from hyperbit.controller.ros2.wire.types import Types
 from tests.waiting import PATIENCE, eventually
 

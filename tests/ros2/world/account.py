@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
-from hyperbit.controller.ros2.wire.action_events import Status
+from hyperbit.controller.ros2.wire.actions import Status
 from tests.ros2.world.motion import Positions
 
 ACTIVE = (Status.ACCEPTED, Status.EXECUTING, Status.CANCELING)

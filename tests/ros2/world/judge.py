@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hyperbit.controller.ros2.poses import BadGoal
-from hyperbit.controller.ros2.wire.action_events import Status
+from hyperbit.controller.ros2.wire.actions import Status
 from tests.ros2.world.account import (
     ACTIVE,
     BARRED,
