@@ -35,6 +35,7 @@ class FakeMaster:
         self.input_boards_of = tuple(tuple(sorted({nodes.index(board) for board in boards})) for boards in ends)
         self.rest = lambda period: None
         self.believe = lambda ends: None
+        self.verification = self
         self._wiring, self._size = wiring, len(wiring.channels)
         self.outputs = self.inputs = self.doubtful = self.released = 0
         self.unread = self.missed = 0  # masks of lines that were not read back, and of missed pulses

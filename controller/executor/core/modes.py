@@ -100,7 +100,7 @@ class Modes:
         motion = self._motion
         self._settles = motion.actuation.free_at
         motion.kinds.believe(ends)
-        self._master.believe(ends)
+        self._master.verification.believe(ends)
         motion.supervision.reset(0, 0, motion.clock)
         if self.mode in ("ready", "starting"):
             self.boot(f"the boards are being booted {'after' if ends else 'for'} a commission", now)

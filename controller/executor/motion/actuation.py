@@ -64,7 +64,7 @@ class Actuation:
     @property
     def unproven(self) -> int:
         """Mask of the switched actuators that neither an end-stop nor a read-back of outputs has confirmed."""
-        unread = self._master.unread
+        unread = self._master.verification.unread
         return self._kinds.actuators(unread) | self.missed if unread or self.missed else 0
 
     def pulsing(self, now: float) -> bool:
@@ -230,7 +230,7 @@ class Actuation:
 
     def _find_missed(self) -> None:
         """Detects actuators whose last pulse was not confirmed: their state is unknown, unless another pulse is on."""
-        if missed := self._master.drain_missed():
+        if missed := self._master.verification.drain_missed():
             self.missed |= self._kinds.actuators(missed) & ~self._kinds.actuators(self._master.outputs)
             self.uncertain |= self.missed
 

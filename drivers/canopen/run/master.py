@@ -35,6 +35,7 @@ class Master:
         board_of: index of the board with the outputs of each actuator.
         input_boards_of: indices of the boards with the end-stops of each actuator; none without end-stops.
         heartbeat: the master's heartbeat, which tells when it is due next.
+        verification: reads back what was switched; also tells which lines were not read.
         errors: reads of the boards' errors; a boot that is under way ends first.
     """
 
@@ -59,7 +60,7 @@ class Master:
         self.heartbeat = Heartbeat(links, self._boards, timing)
         self._inputs = InputWatch(self._boards, links, wiring)
         self._switching = OutputSwitching(self._boards, self.links, self._outputs, timing)
-        self._verification = Verification(self._boards, self._outputs, self._switching.commits)
+        self.verification = Verification(self._boards, self._outputs, self._switching.commits)
         self.errors = ErrorReads(self._boards, self._switching.commits)
 
     def receive_event(self, event: events.Event, now: float) -> None:
@@ -108,7 +109,7 @@ class Master:
         for board in self._boards:
             board.tick(time, self._timing.heartbeat_timeout, self._clock.stalled)
         if not self._booting.under_way:
-            self._verification.tick(time)
+            self.verification.tick(time)
             self._inputs.tick(time)
             self.errors.tick(time)
 
@@ -144,14 +145,10 @@ class Master:
         time = self._clock.at(now)
         self._log.clear()
         self._switching.forget()
-        self._verification.begin()
+        self.verification.begin()
         self._inputs.begin(time)
         lost = {name: fault for name, link in self.links.items() if (fault := link.rearm()) is not None}
         self._booting.begin(lost, time)
-
-    def believe(self, ends: bool) -> None:
-        """Believes that end-stops show each switch, or reads all outputs back; see `Verification`."""
-        self._verification.believe(ends)
 
     def commit(self, outputs: int, now: float, release: bool = False) -> None:
         """Switches output lines to `outputs`. `committing`, `commit_failed` and `drain_switched` tell the result.
@@ -236,11 +233,6 @@ class Master:
         return self._outputs.released
 
     @property
-    def unread(self) -> int:
-        """Mask of the output lines that were switched and not read back, and have no end-stop."""
-        return self._verification.unread
-
-    @property
     def outputs_known(self) -> bool:
         """Whether `outputs` are known: all boards are ready, and no SYNC is being sent."""
         sending = any(commit.unknown for commit in self._switching.commits.values())
@@ -287,10 +279,6 @@ class Master:
         switched = list(self._switching.switched)
         self._switching.switched.clear()
         return switched
-
-    def drain_missed(self) -> int:
-        """Returns, since the last call, output lines without end-stops whose pulse ended before it was read."""
-        return self._verification.drain_missed()
 
     def warnings(self) -> tuple[ArmFault, ...]:
         """Returns the warnings: error-passive buses; limits of boards, and outputs written off before the start."""

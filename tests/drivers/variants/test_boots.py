@@ -132,7 +132,7 @@ def test_the_frames_of_the_standard_board() -> None:
     world = case_of("standard").world()
     assert world.boot() == []
     world.commit(1, 1)
-    world.until(lambda: not world.master.unread)
+    world.until(lambda: not world.master.verification.unread)
     assert spoken(world) == STANDARD.read_text()
 
 

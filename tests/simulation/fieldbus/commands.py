@@ -261,7 +261,8 @@ def pulses_are_too_short(at: Place) -> Fault | None:
             arm.commit(before | line)
             arm.wait(lambda: arm.master.outputs & line, 0.1, "on")
             arm.commit(~line & arm.judged.lines, release=True)
-            arm.wait(lambda: arm.master.drain_missed() & line, COMMITTED, f"{line:b} was on, not read back, and missed")
+            missed = f"{line:b} was on, not read back, and missed"
+            arm.wait(lambda: arm.master.verification.drain_missed() & line, COMMITTED, missed)
             arm.wait(lambda: not arm.moves(), COMMITTED, "released")
             arm.pass_time(READ_BACK)
             arm.master.drain_switched()

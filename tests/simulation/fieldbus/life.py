@@ -132,7 +132,7 @@ class Life(Site):
         for fault in faults:
             self.made[f"boot: {fault.code}"] += 1
         self.boots.end(faults, list(master.warnings()), master.outputs_known)
-        master.drain_missed()  # of pulses that trouble has ended
+        master.verification.drain_missed()  # of pulses that trouble has ended
         late = master.drain_faults()
         require(not late, f"faults are told twice: {late}")
         self.calm = self.ready = master.outputs_known

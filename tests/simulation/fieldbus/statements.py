@@ -196,7 +196,7 @@ class OutputsWereRead(OfBoards):
         """Lines were switched, and time has passed."""
         master = self.life.master
         for name, board in self.life.judged.boards.items():
-            told = changed & board.unsensed & ~(master.unread | master.released)
+            told = changed & board.unsensed & ~(master.verification.unread | master.released)
             self.require(not told or name in self._read, f"{name}: {told:b} are told as read back, and nobody has read")
 
 

@@ -44,7 +44,8 @@ class UsedArm(Life):
         self._send(states, states, "switches")
         if self.random.random() < 0.7:
             master = self.master
-            self.wait(lambda: not master.unread | master.released, READ_AT_ONCE + self.sight.slack, "read back")
+            read = lambda: not master.verification.unread | master.released  # noqa: E731
+            self.wait(read, READ_AT_ONCE + self.sight.slack, "read back")
         self.see("switched", changed)
 
     def release_pulses(self) -> None:
@@ -57,7 +58,7 @@ class UsedArm(Life):
         """Gives a command, and requires that it switches all at once, tells when, and changes nothing else."""
         self.note(f"{what} {states:b}")
         master, before, began = self.master, self.driven(), self.now
-        unread = before & ~after & self.judged.pulsed & master.unread
+        unread = before & ~after & self.judged.pulsed & master.verification.unread
         objects = {name: self.kept(name) for name in self.looks}
         self.see("commands")
         self.commit(states, release=what == "releases")
@@ -72,7 +73,7 @@ class UsedArm(Life):
         moments = [self.moved_at[name] for name in self.looks]
         late = [one for one in switched if min(abs(one[1] - at) for at in moments) > LATE]
         require(not late, f"{late} is told as switched; the pins have changed at {self.moved_at}")
-        missed = master.drain_missed()
+        missed = master.verification.drain_missed()
         require(not missed & ~unread, f"pulses {missed:b} are missed; {unread:b} have ended unread")
         changed = [name for name in self.looks if self.kept(name) != objects[name]]
         require(not changed, f"a command changes objects of {changed} that are no outputs")
@@ -94,7 +95,7 @@ class UsedArm(Life):
     def forget(self) -> None:
         """Drops what the master tells of an unjudged command."""
         self.master.drain_switched()
-        self.master.drain_missed()
+        self.master.verification.drain_missed()
 
     # --- what faults need
 
