@@ -17,7 +17,7 @@ export function showGoal(connection, editor, notify) {
   const card = document.getElementById("goal");
   let fields = null; // of the arm's dimension
   const message = el("p", { class: "message", role: "status" });
-  const { words, showPlan } = planCard();
+  const { words, showPlan } = planCard(connection);
   const why = el("p", { class: "why", role: "status" }); // why Go is disabled
   const go = el("button", { type: "button", id: "go", class: "primary" }, "Go");
   const cancel = el("button", { type: "button", id: "cancel" }, "Hold now");
@@ -162,7 +162,7 @@ function inBrief(plan) {
 }
 
 // The plan in words. The list of stages stays the same element, so that it stays open.
-function planCard() {
+function planCard(connection) {
   const text = el("div", {});
   const summary = el("summary", {});
   const list = el("ol", { class: "stages" });
