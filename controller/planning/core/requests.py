@@ -1,6 +1,8 @@
 """Requests that wait for no motion: cancel, stop, reset, locks and faults for the executor, and plans of goals."""
 
+from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 from hyperbit.controller.motion.decoding.goal import GoalMessage
 from hyperbit.controller.motion.decoding.requests import DegradeMessage, FaultMessage
@@ -21,51 +23,59 @@ LONGEST = 10.0  # [s] for one query, without its time in the queue and its own d
 CANCELED = "canceled; the arm holds"
 
 
+@dataclass(eq=False)
+class Query:
+    """A request for a plan."""
+
+    request: Request
+    goal: GoalMessage
+    job: int | None = None  # number of its task; None: it waits for the scene of the obstacles
+
+
 class Queries:
     def __init__(self, parts: Parts, premises: Premises) -> None:
         self._parts, self._premises = parts, premises
-        self._waiting: dict[int, Request] = {}  # by number
-        self._jobs: dict[int, int] = {}  # number of the task of each query that has begun
+        self._waiting: dict[int, Query] = {}  # by number of the request
 
     @property
     def waiting(self) -> int:
         return len(self._waiting)
 
     def awaited(self) -> list[int | None]:
-        return [*self._jobs.values()]
+        return [query.job for query in self._waiting.values()]
 
     def check(self) -> None:
         """Asserts that each query waits for its task, or for the scene; see `Core.check`."""
-        idle = self._waiting.keys() - self._jobs.keys()
+        idle = [number for number, query in self._waiting.items() if query.job is None]
         assert len(self._waiting) <= MOST_WAITING + 1, f"queries {list(self._waiting)} wait"
-        assert self._jobs.keys() <= self._waiting.keys(), "a query is planned that was answered"
         assert not idle or self._premises.obstacles.scene is None, f"queries {idle} wait for nothing"
 
-    def queue(self, query: Request) -> None:
+    def queue(self, request: Request) -> None:
+        assert isinstance(request.message, GoalMessage)
         full = len(self._waiting) > MOST_WAITING
-        self._waiting[query.number] = query
+        query = self._waiting[request.number] = Query(request, request.message)
         if full:
             self._refuse(query, Refusal(Reason.BUSY, most=MOST_WAITING, what="plan queries"))
 
     def advance(self) -> None:
         """Starts the queries that wait for the scene of the obstacles. Call at the end of each step."""
         premises, state = self._premises, self._parts.view.state
-        for number, query in list(self._waiting.items()):
-            if number in self._jobs or premises.obstacles.scene is None:
+        for query in list(self._waiting.values()):
+            if query.job is not None or premises.obstacles.scene is None:
                 continue
-            message, basis, mode = message_of(query), premises.basis(), premises.locks.mode()
+            basis, mode = premises.basis(), premises.locks.mode()
             if state is None or basis is None:
                 self._refuse(query, no_motion(*mode))
             elif (refusal := obstruction(state, *mode)) is not None:
                 self._refuse(query, refusal)
             else:
-                goal = tasks.PlanGoal(message, query.wall, premises.correction(), basis)
-                task = tasks.DescribePlan(goal, LONGEST + (message.deadline or 0.0))
-                self._jobs[number] = self._parts.jobs.start(task, partial(self._answered, query))
+                goal = tasks.PlanGoal(query.goal, query.request.wall, premises.correction(), basis)
+                task = tasks.DescribePlan(goal, LONGEST + (query.goal.deadline or 0.0))
+                query.job = self._parts.jobs.start(task, partial(self._answered, query))
 
     def cancel(self, goal: str) -> bool:
         """Ends the query of a goal with this id; returns whether there was one."""
-        query = next((query for query in self._waiting.values() if message_of(query).id == goal), None)
+        query = next((query for query in self._waiting.values() if query.goal.id == goal), None)
         if query is not None:
             self._refuse(query, Refusal(Reason.PLAN_CANCELED))
         return query is not None
@@ -74,30 +84,32 @@ class Queries:
         for query in list(self._waiting.values()):
             self._refuse(query, Refusal(Reason.SHUTTING_DOWN))
 
-    def _answered(self, query: Request, answer: tasks.Answer) -> None:
-        del self._jobs[query.number]
+    def _answered(self, query: Query, answer: tasks.Answer) -> None:
+        query.job = None
         if isinstance(answer, tasks.Described):
             state, payload = self._parts.view.state, answer.payload
             if state is not None:  # the motions of actuators of unknown position come before the plan
                 message = payload["message"] + homing_words(state)
                 payload = {**payload, "message": message, "homing": state.homed_first}
-            self._answer(query.number, payload)
+            self._answer(query, payload)
         else:
             self._refuse(query, tasks.refusal_of(answer))
 
-    def _refuse(self, query: Request, refusal: Refusal) -> None:
-        self._parts.jobs.abandon(self._jobs.pop(query.number, None))
-        goal = message_of(query).id or f"{self._parts.name}{query.number:x}"
-        self._answer(query.number, refused(refusal, goal))
+    def _refuse(self, query: Query, refusal: Refusal) -> None:
+        self._parts.jobs.abandon(query.job)
+        goal = query.goal.id or f"{self._parts.name}{query.request.number:x}"
+        self._answer(query, refused(refusal, goal))
 
-    def _answer(self, request: int, payload: Payload) -> None:
-        if self._waiting.pop(request, None) is not None:
-            self._parts.act(Reply(request, payload))
+    def _answer(self, query: Query, payload: Payload) -> None:
+        if self._waiting.pop(query.request.number, None) is not None:
+            self._parts.act(Reply(query.request.number, payload))
 
 
-def message_of(query: Request) -> GoalMessage:
-    assert isinstance(query.message, GoalMessage)
-    return query.message
+class Pending(NamedTuple):
+    """A request that the executor answers."""
+
+    since: float  # its arrival, or when it was sent [s]
+    reset: Ticket | None = None  # of a reset that waits for the epoch of its arrival
 
 
 class ExecutorRequests:
@@ -109,8 +121,7 @@ class ExecutorRequests:
     def __init__(self, parts: Parts, premises: Premises, goals: Goals, programs: Programs, queries: Queries) -> None:
         self._parts, self._view, self._act = parts, parts.view, parts.act
         self._locks, self._goals, self._programs, self._queries = premises.locks, goals, programs, queries
-        self._pending: dict[int, float] = {}  # time of each request that is not answered yet [s]
-        self._resets: dict[int, Ticket] = {}  # pending resets without a known epoch
+        self._pending: dict[int, Pending] = {}  # by number of the request
 
     def receive_request(self, request: Request) -> None:
         number, admission, now = request.number, self._parts.admission, self._parts.moment.now
@@ -119,10 +130,10 @@ class ExecutorRequests:
                 self._cancel_goal(number, goal)
             case "cancel" | "stop", _:  # the gateway has sent it
                 admission.bar(number)
-                self._pending[number] = now
+                self._pending[number] = Pending(now)
             case "reset", _:
                 self._locks.retry()
-                self._resets[number], self._pending[number] = admission.arrive(number), now
+                self._pending[number] = Pending(now, admission.arrive(number))
                 needed = self._view.mode()[0] in ("fault", "stopped")  # otherwise earlier requests may continue
                 (admission.bar if needed else admission.fence)(number)
             case _, DegradeMessage() as message:
@@ -143,13 +154,14 @@ class ExecutorRequests:
 
     def advance(self) -> None:
         """Sends resets whose epoch is known, if no stop, cancel or fault came after. Call at the end of each step."""
-        for number, ticket in list(self._resets.items()):
+        for number, (since, ticket) in list(self._pending.items()):
+            if ticket is None:
+                continue
             if self._parts.admission.barred(ticket):
                 self._finish(number, refused(Refusal(Reason.OVERTAKEN)))
             elif ticket.epoch is not None or not self._view.connected:
-                del self._resets[number]
                 self._send(number, Reset(number, ticket.epoch or 0))
-            elif self._parts.moment.now > self._pending[number] + EXECUTOR_TIMEOUT:
+            elif self._parts.moment.now > since + EXECUTOR_TIMEOUT:
                 self._finish(number, refused(Refusal(Reason.EXECUTOR_BEHIND)))
 
     def unsent(self, number: int, reason: str) -> None:
@@ -165,14 +177,13 @@ class ExecutorRequests:
 
     def overdue(self) -> bool:
         now = self._parts.moment.now
-        return any(now > at + EXECUTOR_TIMEOUT for number, at in self._pending.items() if number not in self._resets)
+        return any(now > it.since + EXECUTOR_TIMEOUT for it in self._pending.values() if it.reset is None)
 
     def check(self) -> None:
         """Asserts that each request waits for an executor that is connected; see `Core.check`."""
-        waits = self._pending.keys() - self._resets.keys()
-        assert self._resets.keys() <= self._pending.keys(), "a reset waits that was answered"
-        new = all(self._pending[number] == self._parts.moment.now for number in waits)  # `Unsent` follows
-        assert self._view.connected or new, f"requests {waits} wait without an executor"
+        waits = {number: it.since for number, it in self._pending.items() if it.reset is None}
+        new = all(since == self._parts.moment.now for since in waits.values())  # `Unsent` follows
+        assert self._view.connected or new, f"requests {list(waits)} wait without an executor"
 
     def _cancel_goal(self, number: int, goal: str) -> None:
         """Bars all earlier requests of an id: refuses those that wait, and ends its program."""
@@ -187,14 +198,13 @@ class ExecutorRequests:
         self._act(Reply(number, done(ended or f"goal {goal} is not running")))
 
     def _send(self, number: int, message: Down) -> None:
-        self._pending[number] = self._parts.moment.now
+        self._pending[number] = Pending(self._parts.moment.now)
         if self._view.connected:
             self._act(ToExecutor(message))
         else:
             self.unsent(number, self._view.problem)
 
     def _finish(self, number: int, payload: Payload) -> None:
-        self._resets.pop(number, None)
         if self._pending.pop(number, None) is not None:
             self._parts.admission.answered(number)
             self._act(Reply(number, payload))
