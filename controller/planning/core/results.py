@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
@@ -39,6 +39,13 @@ class Untold:
     payload: Payload
 
 
+class Owed(NamedTuple):
+    """A goal that an earlier planner process accepted."""
+
+    accepted: AcceptanceEntry
+    published: ResultEntry | None  # its result, if that process published one; clients may have missed it
+
+
 class Results:
     """The owner of results that are not yet acknowledged.
 
@@ -51,19 +58,17 @@ class Results:
         self, parts: Parts, published: Mapping[Identity, ResultEntry], owed: Mapping[Identity, AcceptanceEntry]
     ) -> None:
         self._view, self._moment, self._act = parts.view, parts.moment, parts.act
-        self._owed = dict(owed)
-        self._doubtful = {identity: mark for identity, mark in published.items() if identity in owed}
+        self._owed = {identity: Owed(entry, published.get(identity)) for identity, entry in owed.items()}
         self._told = published.keys() - owed.keys()
         self._met_at = math.inf  # when the present executor was met [s]
         self._last = 0  # number of a publication or of an entry of the ledger
-        self._publishing: dict[int, Untold] = {}
-        self._recording: dict[int, Untold] = {}
+        self._on_way: dict[int, Untold] = {}  # by number of its publication, then of its entry
         # By entry of the acceptance, which the ledger must have first.
         self._deferred: dict[int, events.PublishResult] = {}
 
     @property
     def idle(self) -> bool:
-        return not self._publishing and not self._recording
+        return not self._on_way
 
     def next_entry(self) -> int:
         self._last += 1
@@ -74,14 +79,12 @@ class Results:
 
     def check(self) -> None:
         """Asserts that each result is on its way once; see `Core.check`."""
-        on_way = [untold.identity for untold in (*self._publishing.values(), *self._recording.values())]
+        on_way = [untold.identity for untold in self._on_way.values()]
         assert len(on_way) == len(set(on_way)), f"a result is on its way twice: {on_way}"
         assert self._told.issuperset(on_way), "a result on its way does not count as told"
         assert self._told.isdisjoint(self._owed), "a result that was told is still owed"
         waits = {publication.number for publication in self._deferred.values()}
-        assert waits <= self._publishing.keys(), "a result waits for its acceptance, and nobody will publish it"
-        lost = self._doubtful.keys() - self._owed.keys()
-        assert not lost, f"results that may have left an earlier process are forgotten: {lost}"
+        assert waits <= self._on_way.keys(), "a result waits for its acceptance, and nobody will publish it"
 
     # --- made
 
@@ -89,7 +92,7 @@ class Results:
         """Takes the executor's result of a program; `goal` is None for a program of an earlier planner process."""
         context, view = decode_context(message.context), self._view
         identity = Identity(view.instance or 0, message.program)
-        for untold in (*self._publishing.values(), *self._recording.values()):
+        for untold in self._on_way.values():
             if untold.identity == identity:  # on its way; the executor waits for its acknowledgement
                 untold.result = message.result
                 return
@@ -145,40 +148,41 @@ class Results:
 
     def _end_owed(self, over: list[Identity]) -> None:
         for identity in over:
-            goal, mark = self._owed.pop(identity), self._doubtful.get(identity)
+            goal, mark = self._owed[identity]
             context = msgspec.msgpack.encode(Context(goal.goal, goal.waypoints, sent=goal.wall))
             outcome = self._told_outcome(identity) or GoalOutcome("lost", codes.PATH_TOLERANCE_VIOLATED, LOST)
             self.lost(identity, context, outcome, 0 if mark is None else mark.switches, None)
 
     def _told_outcome(self, identity: Identity) -> GoalOutcome | None:
         """Returns the outcome that an earlier planner process has published, if any; clients may have missed it."""
-        mark = self._doubtful.get(identity)
+        owed = self._owed.get(identity)
+        mark = None if owed is None else owed.published
         return None if mark is None else GoalOutcome(mark.status, mark.code, mark.message)
 
     # --- published, recorded, acknowledged
 
     def published(self, number: int) -> None:
-        if (untold := self._publishing.pop(number, None)) is not None:
+        if (untold := self._on_way.pop(number, None)) is not None:
             self._record(untold)
 
     def recorded(self, entry: int) -> None:
         """Acknowledges a recorded result, or publishes a result that waited for this acceptance."""
         if (publication := self._deferred.pop(entry, None)) is not None:
             self._act(publication)
-        untold = self._recording.pop(entry, None)
+        untold = self._on_way.pop(entry, None)
         if untold is not None and untold.result is not None and untold.identity.instance == self._view.instance:
             self._act(ToExecutor(Acknowledge(untold.result)))
 
     def _tell(self, untold: Untold, goal: Goal | None) -> None:
-        self._owed.pop(untold.identity, None)
+        owed = self._owed.pop(untold.identity, None)
         if untold.identity in self._told:
             self._record(untold)
             return
         self._told.add(untold.identity)
-        if self._doubtful.pop(untold.identity, None) is not None:
+        if owed is not None and owed.published is not None:
             untold.payload = {**untold.payload, "repeated": True}
         number, payload = self.next_entry(), untold.payload
-        self._publishing[number] = untold
+        self._on_way[number] = untold
         publication = events.PublishResult(number, untold.identity, goal is None, payload)
         if goal is None or goal.unrecorded is None:
             self._act(publication)
@@ -190,7 +194,7 @@ class Results:
     def _record(self, untold: Untold) -> None:
         payload, number = untold.payload, self.next_entry()
         fields = payload["status"], payload["code"], payload["message"], payload["switches"]
-        self._recording[number] = untold
+        self._on_way[number] = untold
         result = ResultEntry(self._moment.wall, *fields)
         self._act(events.Record(number, untold.identity, untold.accepted, result))
 
