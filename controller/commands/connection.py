@@ -35,7 +35,8 @@ def zenoh_config(
     try:
         return session.from_file(file) if file else session.configuration(mode, listen=listen, connect=connect)
     except ValueError as error:
-        where = CONNECT if connect == os.environ.get(CONNECT) else "endpoint"
+        named_by_variable = connect is not None and connect == os.environ.get(CONNECT)
+        where = CONNECT if named_by_variable else "endpoint"
         raise InputFaults(Path("--zenoh" if file else where), [str(error)]) from None
 
 

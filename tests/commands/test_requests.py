@@ -51,6 +51,8 @@ def test_the_variable_names_the_endpoint_and_the_option_overrides_it(hyperbit, g
     assert named("a", gateway.endpoint, Path("tls.json5")) == "a --zenoh tls.json5"
     monkeypatch.setenv("HYPERBIT_CONNECT", "10.0.0.2:7447")
     assert hyperbit("stop", "a")[2].startswith("HYPERBIT_CONNECT: '10.0.0.2:7447' is no endpoint: ")
+    monkeypatch.delenv("HYPERBIT_CONNECT")
+    assert hyperbit("run", "ARM.yaml", "--listen", "here")[2].startswith("endpoint: 'here' is no endpoint: ")
     assert hyperbit("stop", "a", "--connect", gateway.endpoint)[0] == 0
 
 

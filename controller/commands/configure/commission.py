@@ -22,6 +22,7 @@ from hyperbit.controller.commands.arguments import ArmFile, BoardKinds, Wired
 from hyperbit.controller.commands.common import CommandFailed, console
 from hyperbit.controller.commands.configure.commission_desk import LEAVE, Desk, Left, Withdrawn
 from hyperbit.controller.commands.configure.commission_report import conclude
+from hyperbit.controller.commands.configure.executor_absence import answers
 from hyperbit.controller.commands.connection import open_zenoh, zenoh_config
 from hyperbit.controller.commands.operate.executor_process import end_child, start_executor
 from hyperbit.controller.commission.driver import BEGIN_WITHIN, Commissioner, NoDriver
@@ -126,7 +127,7 @@ def driven(
 ) -> Iterator[Commissioner]:
     """Yields the drive of an arm by a running executor, or by one that ends with this command, while it still holds."""
     path, digest = socket_path(socket, settings.name), hashlib.sha256(read_file(file)).hexdigest()
-    if socket is not None or (path.is_socket() and not simulate):
+    if socket is not None or (not simulate and answers(path, settings.name)):
         driver = Commissioner(path, settings.name, digest)
         try:
             yield driver
