@@ -19,6 +19,10 @@ OWED_WITHIN = 12.0  # [s]: results of an earlier process wait until clients have
 MOST_HUNG = 12  # goals that wait for a hung worker in vain, until the planner starts again
 SETTLES = 1.2  # [s]: what arrives within a second after a standstill may be refused as too late
 GOALS, TOGETHER, DRAWN = 2, 3, 6  # most goals in calm one after another, and at once; most further requests
+TASKS, PLANS, CHANGES = 5, 6, 2  # goals of a time of work, most plans before each, most changes of obstacles in each
+BESIDE = (*("obstacles",) * 6, *("degrade",) * 3, "cancel", "cancel", "stop", "goal", "goal", "stream", "disk")
+STREAM = 0.3  # [s]
+CHANGED_WITHIN = 0.2  # [s] of the begin of a goal, or of another change
 MOST_PROGRAMS = 30  # programs, one each 0.1 s, until one is accepted: the last switch may still be read back
 RESTARTED_WITHIN = 10.0  # [s] until a planner or an executor that was killed has started again
 HUNG_WITHIN = 200.0  # [s] until a planner with a hung worker has started again
@@ -81,6 +85,39 @@ def ask_in_calm(world: World, daemon: Daemon) -> None:
         ask(world, daemon, *daemon.clients.wishes.drawn())
 
 
+def work(world: World, daemon: Daemon) -> None:
+    """Lets clients set obstacles, ask for plans at rest, then for a goal; one thing happens beside each goal."""
+    clients, wishes = daemon.clients, daemon.clients.wishes
+    daemon.wanted = True
+    for _ in range(TASKS):
+        world.wait(lambda: not daemon.exchange.running and world.settled(), "at rest", world.ready_within)
+        ask(world, daemon, "obstacles", {"regions": wishes.regions()}, ("accepted",))
+        beside = BESIDE[world.drawn(len(BESIDE) - 1)]
+        if beside == "degrade":
+            ask(world, daemon, "degrade", wishes.lock(), ())
+        elif beside == "disk":
+            world.disturb()
+            daemon.fill_disk(world.drawn(3))
+        for _ in range(world.drawn(PLANS)):
+            ask(world, daemon, "plan", wishes.goal(), ())
+        answer = ask(world, daemon, "goal", wishes.goal(), ())
+        if answer is None or not answer["accepted"]:
+            continue
+        for _ in range(world.drawn(CHANGES)):
+            world.pass_time(CHANGED_WITHIN * world.share())
+            if beside == "obstacles":
+                clients.ask("obstacles", {"regions": wishes.regions()})
+            elif beside in ("cancel", "stop", "goal"):
+                clients.ask(beside, wishes.goal() if beside == "goal" else {})
+            elif beside == "stream":
+                clients.stream(STREAM)
+        world.wait(lambda name=answer["id"]: name in daemon.results, "done", DONE_WITHIN)  # type: ignore[misc]
+    daemon.mend()
+    world.wait(lambda: not daemon.exchange.running, "at the end of all goals", DONE_WITHIN)
+    daemon.wanted = False
+    check_daemon(world, daemon)
+
+
 def ask(world: World, daemon: Daemon, key: str, payload: Payload | bytes, drawn: tuple[str, ...]) -> Payload | None:
     """Sends a request and waits for its answer; None if the planner has ended without one."""
     process, sent = daemon.process, daemon.clients.ask(key, payload, drawn=drawn)
@@ -92,6 +129,7 @@ def check_daemon(world: World, daemon: Daemon) -> None:
     """Checks that every goal has its result, and that planner, ledger and executor agree on that."""
     storage, account = daemon.storage, daemon.exchange
     world.wait(lambda: not account.unanswered(), "without open requests", SEARCHED_WITHIN)
+    world.wait(lambda: storage.ledger is None or storage.ledger.fault is None, "with a ledger", OWED_WITHIN)
     world.wait(lambda: not storage.owes(), "without goals that the ledger owes", OWED_WITHIN)
     world.wait(lambda: not world.account.owed, "without results that wait", OWED_WITHIN)
     if daemon.process is not None:

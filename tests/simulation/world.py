@@ -13,7 +13,7 @@ from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.agenda import Agenda, StepsAreOver
 from tests.simulation.buses.board_side import BoardSide
 from tests.simulation.buses.bus_model import BusModel, OnItsWay
-from tests.simulation.calm import check_daemon, run_a_goal, run_a_program
+from tests.simulation.calm import check_daemon, run_a_goal, run_a_program, work
 from tests.simulation.executor.arm_file import judge_file
 from tests.simulation.executor.arms import draw_arm, draw_boards
 from tests.simulation.executor.habits import Habits
@@ -38,7 +38,8 @@ from tests.simulation.whole.planned_arms import draw_planned_arm
 
 ROUNDS = ("one fault",) * 5 + ("requests",) * 3 + ("commission", "end", "trouble")  # of worlds with a scripted planner
 WHOLE_TROUBLED = 0.9  # share of the rounds of a whole daemon that have a time with many faults
-PEACEFUL = 0.2  # share of the worlds with the whole daemon that have no trouble
+PEACEFUL = 0.4  # share of the worlds with the whole daemon that have no trouble
+WORK, PEACEFUL_WORK = 0.5, 0.9  # share of the rounds of a whole daemon in which clients wait for each goal's end
 FILES = 0.9  # share of the arms that are written to a file and read
 PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all trouble; late SDO answers take long
 
@@ -147,13 +148,18 @@ class World(StruckWorld):
 
     def _whole_round(self, daemon: Daemon) -> None:
         """Lets clients ask, and the planner die at one of their goals; trouble follows. In peace there is neither."""
+        if self._random.random() < (PEACEFUL_WORK if self._peaceful else WORK):
+            work(self, daemon)
+            return
         self.planner.be_calm(False)
         if not self._peaceful:
             self.disturb()
             daemon.die()
         self.pass_time(self._random.uniform(0.5, 3.0))
-        if self._random.random() < WHOLE_TROUBLED and not self._peaceful:
-            self._trouble(8.0)
+        if self._peaceful:
+            self.calm()
+        elif self._random.random() < WHOLE_TROUBLED:
+            self._trouble(4.0)
 
     def _trouble(self, longest: float) -> None:
         self.disturb()
@@ -246,6 +252,9 @@ class World(StruckWorld):
 
     def drawn(self, most: int) -> int:
         return self._random.randint(0, most)
+
+    def share(self) -> float:
+        return self._random.random()
 
     def _to_boards(self, bus: str, sent: OnItsWay, lost: bool) -> None:
         self.boards.hear(bus, sent, lost)

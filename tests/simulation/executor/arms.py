@@ -50,7 +50,7 @@ def draw_arm(random: Random, whole: bool = False) -> ExecutedArm:
     """Returns an arm of 2..12 actuators on 1..4 boards and 1..2 buses.
 
     Args:
-        whole: whether a whole daemon drives it; without it, fewer heartbeats take steps, and more arms contract.
+        whole: whether a whole daemon drives it: then most arms are quick, so that many goals run.
     """
     rates = [125_000, 500_000, 1_000_000]  # [bit/s]
     buses = [BusWiring(name, "simulated", name, random.choice(rates)) for name in ("can0", "can1")]
@@ -78,12 +78,12 @@ def draw_arm(random: Random, whole: bool = False) -> ExecutedArm:
         shared_rpdo=random.random() < 0.3,
         interlocks=interlocks,
     )
-    heartbeat = random.choice([0.02, 0.05, 0.1] if whole else [0.02, 0.05, 0.05, 0.1, 0.1, 0.1])
+    heartbeat = random.choice([0.05, 0.1, 0.1] if whole else [0.02, 0.05, 0.05, 0.1, 0.1, 0.1])
     timing = Timing(
         heartbeat=heartbeat,
         heartbeat_timeout=round(3.5 * heartbeat, 3),
         boot_timeout=random.choice([0.5, 1.0]),
-        travel_time=random.choice([0.02, 0.05, 0.2]),
+        travel_time=random.choice([0.02, 0.02, 0.02, 0.05, 0.2] if whole else [0.02, 0.05, 0.2]),
         settle_margin=random.choice([0.03, 0.05]),
     )
     locked = random.getrandbits(count) & random.getrandbits(count) & random.getrandbits(count)
@@ -93,8 +93,8 @@ def draw_arm(random: Random, whole: bool = False) -> ExecutedArm:
         actuators=tuple(channel.actuator for channel in channels),
         wiring=wiring,
         timing=timing,
-        inrush=random.choice([None, 1, 2, 3]),
-        rest=random.choice([0.0, 0.0, 0.05, 0.3]),
+        inrush=random.choice([None, None, 2, 3] if whole else [None, 1, 2, 3]),
+        rest=random.choice([0.0, 0.0, 0.0, 0.05] if whole else [0.0, 0.0, 0.05, 0.3]),
         contract_on_stop=random.random() < (0.3 if whole else 0.45),
         locked=locked,
         locked_states=locked & random.getrandbits(count),  # with an end-stop, the executor uses its reading

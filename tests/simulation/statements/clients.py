@@ -33,7 +33,7 @@ class NothingBeginsAfterAClientsStop(OfClients):
     """After the answer to a stop or cancel nothing begins, and no pin changes, for what a client asked before it."""
 
     number = 2
-    least = 30
+    least = 40
 
     def accepts(self, ran: Ran) -> None:
         if ran.request is not None:
@@ -61,7 +61,7 @@ class EachGoalHasOneResult(OfClients):
     """Each accepted goal has exactly one result, also over kills, while clients are there; a refused one has none."""
 
     number = 3
-    least = 100
+    least = 300
 
     def answered(self, request: Request, answer: Payload) -> None:
         if request.key in ("goal", "jog") and answer["accepted"]:
@@ -69,6 +69,10 @@ class EachGoalHasOneResult(OfClients):
             alike = [r for r in self.exchange.requests if r.sent is not None and r.sent == request.sent]
             again = any(r.answer == answer for r in alike)
             self.require(ran or again, lambda: f"{request} is accepted, and no executor has it")
+        elif request.key == "result" and answer.get("result"):
+            told = [one.results[0]["status"] for one in self.exchange.ran(answer["result"]["id"]) if one.results]
+            right = answer["result"]["status"] in told
+            self.require(right, lambda: f"{request} is answered by {answer}; {told} were told")
 
     def result(self, payload: Payload) -> None:
         if payload["status"] == "refused":
@@ -105,7 +109,8 @@ class EachGoalHasOneResult(OfClients):
             accepted, recorded = self.exchange.recorded(ran)
             if accepted or (ran.request is not None and ran.request.accepted):
                 self.require(ran.results, lambda ran=ran: f"{ran.goal} was accepted, and has no result")  # type: ignore[misc]
-                self.require(recorded, lambda ran=ran: f"the ledger lacks {ran.goal}")  # type: ignore[misc]
+                right = ran.results and recorded == ran.results[0]["status"]
+                self.require(right, f"the ledger tells of {ran.goal}: {recorded}; its results are {ran.results}")
 
 
 class EachRequestHasOneAnswer(OfClients):
@@ -115,7 +120,7 @@ class EachRequestHasOneAnswer(OfClients):
     """
 
     number = 11
-    least = 400
+    least = 800
 
     def __init__(self, exchange: Exchange) -> None:
         super().__init__(exchange)
@@ -183,7 +188,7 @@ class CalmMeansReady(OfClients):
     """In calm the arm is ready, and a simple goal succeeds."""
 
     number = 10
-    least = 3
+    least = 4
 
     def tried(self, result: Payload) -> None:
         self.require(result["status"] == "succeeded", lambda: f"a simple goal ends as {result}")
@@ -193,7 +198,7 @@ class OneFaultIsTold(OfClients):
     """One fault in calm: exactly its row of the table is told. `one_fault` waits for its begin and its end."""
 
     number = 16
-    least = 10
+    least = 20
 
     def __init__(self, exchange: Exchange) -> None:
         super().__init__(exchange)

@@ -123,6 +123,10 @@ class Exchange(Witness):
         """Whether something may delay answers."""
         return self._daemon.hindered
 
+    def erred(self, since: float) -> bool:
+        """Whether a plan has ended before its goal, as it was drawn."""
+        return self._daemon.mood.erred_at >= since
+
     @property
     def lead(self) -> float:
         """Time of one stage [s]."""
@@ -136,8 +140,8 @@ class Exchange(Witness):
     def wall(self) -> float:
         return self._daemon.wall()
 
-    def recorded(self, ran: Ran) -> tuple[bool, bool]:
-        """Returns whether the ledger has the acceptance of a program, and its result."""
+    def recorded(self, ran: Ran) -> tuple[bool, str | None]:
+        """Returns whether the ledger has the acceptance of a program, and the status of its result."""
         return self._daemon.storage.has(ran.instance, ran.program.program)
 
     # --- clients
@@ -230,6 +234,10 @@ class Exchange(Witness):
     def possible(self) -> frozenset[Disc]:
         """All obstacles that may be in force."""
         return self.confirmed.union(*(r.discs for r in self._pending()))
+
+    def kept_obstacles(self, since: float) -> bool:
+        """Whether the obstacles are surely the same since a time."""
+        return self.changed_at <= since and not self._pending()
 
     def _pending(self) -> list[Request]:
         return [r for r in self.requests if r.key == "obstacles" and r.answer is None and _are_regions(r.body)]

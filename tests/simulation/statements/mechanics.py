@@ -101,6 +101,11 @@ class Mechanics:
         sets = [np.isin(self.space.codes, list(codes)) for codes in wanted]
         return self.space.optimum(graph, self.space.index[start], sets)
 
+    def clear(self, start: int, locked: int, discs: frozenset[Disc]) -> set[int]:
+        """Returns the codes that touch no obstacle, with the locked actuators as in a state."""
+        permitted = self.space.graph(locked, start, tuple(sorted(discs))).permitted
+        return set(self.space.codes[permitted].tolist())
+
 
 def shifted(position: tuple[float, ...], bias: list[float] | None) -> tuple[float, ...]:
     return tuple(x + b for x, b in zip(position, bias or [0.0] * len(position), strict=True))

@@ -15,6 +15,7 @@ from tests.simulation.statements.mechanics import NEAR, SLACK, Mechanics, apart_
 CODES = {"succeeded": 0, "canceled": -1, "replaced": -1, "aborted": -4, "lost": -4}
 MISSED = -5  # code of a goal that was done and is not reached
 SWITCHES = re.compile(r", (\d+) switch")
+UNREACHED, OUT_OF_REACH = re.compile(r"waypoint (\d+), "), ("out-of-reach", "goal-in-obstacle")
 ROUNDED = 0.07  # [s]: foretold times have one decimal; the planner hears of a stage a moment after its begin
 
 
@@ -56,7 +57,7 @@ class ResultsAreTrue(OfTheArm):
     """`succeeded`: the measured states are the goal, its tip is within the tolerance; each result tells the truth."""
 
     number = 4
-    least = 200
+    least = 700
 
     def ends(self, ran: Ran, payload: Payload) -> None:
         text, ended, request = f"result {payload}", ran.ended, ran.request
@@ -79,6 +80,15 @@ class ResultsAreTrue(OfTheArm):
             self.error(payload, request, max(ran.mark, 0), text)
         if not ran.replaced and ran.planned is not None:
             self.require(payload["planned_switches"] == ran.planned, lambda: f"{text}; planned are {ran.planned}")
+
+    def accepts(self, ran: Ran) -> None:
+        """Each mark is at a configuration that serves its waypoint."""
+        request = ran.request
+        if request is None or ran.jog or request.lined or ran.start is None or self.exchange.erred(request.at):
+            return
+        wanted = self.mechanics.serving(request, (self.exchange.state or {}).get("bias"))
+        for code, mark in codes_of(ran):
+            self.require(mark < 0 or code in wanted[mark], lambda: f"{ran.program} for {request}: {code:b}, {mark}")  # noqa: B023
 
     def answered(self, request: Request, answer: Payload) -> None:
         """The switches that an answer tells are those of the stages from where the goal is planned: where the arm is.
@@ -176,7 +186,7 @@ class BoundsAreTrue(OfTheArm):
     """`optimal` is what listing all configurations says, and a bound is never above it."""
 
     number = 15
-    least = 20
+    least = 150
 
     def ends(self, ran: Ran, payload: Payload) -> None:
         if payload.get("lower_bound") is None:
@@ -194,23 +204,40 @@ class BoundsAreTrue(OfTheArm):
             self.require(payload["switches"] <= least + SLACK, lambda: f"{text}; {least} switches are possible")
 
     def answered(self, request: Request, answer: Payload) -> None:
-        """A plan is judged if one snapshot and the same obstacles held from its query to its answer."""
-        if request.key != "plan" or not answer["accepted"] or request.lined or "bias" in (self.exchange.state or {}):
+        """A plan is judged if one snapshot and the same obstacles held from its query to its answer.
+
+        What is refused as out of reach is that.
+        """
+        refused = UNREACHED.match(answer["message"]) if answer.get("reason") in OUT_OF_REACH else None
+        if request.key != "plan" or not (answer["accepted"] or refused) or request.lined or "bias" in (self.exchange.state or {}):
             return
-        heard = list(self.exchange.lately(self.exchange.awake - request.awake + 0.1))
+        heard = list(self.exchange.lately(self.exchange.awake - request.awake))
         starts = {(s.measured, s.known, s.outputs, s.locked, s.moving) for s in heard if s is not None}
-        if len(starts) != 1 or None in heard or self.exchange.changed_at > request.at - 0.1:
+        rests = len(starts) == 1 and None not in heard and not self.exchange.running
+        if not rests or not self.exchange.kept_obstacles(request.at):
             return
         snapshot = heard[0]
         assert snapshot is not None
         start = states_from(snapshot)
         wanted = self.mechanics.serving(request, None)
-        known = start, unpack(snapshot.locked), self.exchange.confirmed, wanted
+        locked = unpack(snapshot.locked)
+        if refused:
+            clear = self.mechanics.clear(start, locked, self.exchange.confirmed) & wanted[int(refused[1]) - 1]
+            self.require(not clear, lambda: f"{request} is answered by {answer}; it is reached in {sorted(clear)}")
+            return
+        known = start, locked, self.exchange.confirmed, wanted
         least, sure = self.mechanics.least(*known), self.mechanics.least(*known, between=True)
         text = f"{request} is answered by {answer}; the least cost is {least}, in between {sure}"
         self.require((answer["lower_bound"] or 0.0) <= least + SLACK and sure <= answer["cost"] + SLACK, text)
         optimal = answer["certificate"] == "optimal"
         self.require(bool(answer["optimal"]) == optimal and (not optimal or math.isclose(answer["cost"], least)), text)
+
+
+def codes_of(ran: Ran) -> list[tuple[int, int]]:
+    """Returns actuator states and mark of each stage of a program whose start is known."""
+    assert ran.start is not None
+    start, locked = ran.start
+    return [(unpack(stage.states) & ~locked | start & locked, stage.mark) for stage in ran.program.stages]
 
 
 def switches_of(program: Program, start: int, locked: int) -> int:

@@ -255,8 +255,7 @@ class Clients:
             case "obstacles":
                 self._change_obstacles()
             case "stream":
-                self._streams_until = self._agenda.now + random.uniform(0.1, 3.0)
-                self._stream(random.choice([0.01, 0.03, 0.2]))
+                self.stream(random.uniform(0.1, 3.0))
                 self._crowd_in(3)
             case "tip":
                 self._measure()
@@ -295,14 +294,16 @@ class Clients:
         if not self.calm:
             self.ask("obstacles", {"regions": self.wishes.regions()})
 
-    def _stream(self, period: float) -> None:
-        """Sends set-points along a line until the stream ends."""
+    def stream(self, seconds: float) -> None:
+        """Sends set-points along a line for a time [s], unless all becomes calm."""
+        self._streams_until, calm = self._agenda.now + seconds, self.calm
         random, first, last = self._random, np.array(self.wishes.position()), np.array(self.wishes.position())
+        period = random.choice([0.01, 0.03, 0.2])
         last = first if random.random() < STANDING else last
         began, duration, client = self._agenda.now, random.uniform(0.1, 2.0), self._client
 
         def step() -> None:
-            if self._agenda.now > self._streams_until or self.calm:
+            if self._agenda.now > self._streams_until or self.calm > calm:
                 return
             share = min((self._agenda.now - began) / duration, 1.0)
             position = (first + share * (last - first)).tolist()

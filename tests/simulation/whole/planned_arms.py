@@ -84,7 +84,7 @@ def draw_settings(random: Random, arm: ExecutedArm) -> ArmSettings:
         "workspace": {"pixel": 0.05},
         "method": random.choice(["minimum-switch", "minimum-switch", "ipop-previous"]),
     }
-    if random.random() < 0.45:
+    if random.random() < 0.3:
         fields["tracker"] = {"noise": 1e-5, "clamp": 1e-3, "hold": 5.0}
     return msgspec.convert(fields, ArmSettings)
 

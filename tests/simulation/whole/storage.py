@@ -21,7 +21,7 @@ MEMORY = Path("/dev/shm")
 DAMAGED = b"{", b"\xff", b'{"": {}}', b"[]"  # files of poses
 LOOK_EVERY = 0.5  # [s] between two looks of the ledger's thread
 OWED = "SELECT count(*) FROM goals WHERE ended IS NULL"
-KEPT = "SELECT ended FROM goals WHERE instance = ? AND program = ?"
+KEPT = "SELECT status FROM goals WHERE instance = ? AND program = ?"
 
 
 class Storage:
@@ -64,13 +64,13 @@ class Storage:
         with mock.patch.object(files.log, "disabled", True):
             return Poses(self._poses, "home of the model")
 
-    def has(self, instance: int, program: int) -> tuple[bool, bool]:
-        """Returns whether the ledger has the acceptance of a program, and its result."""
+    def has(self, instance: int, program: int) -> tuple[bool, str | None]:
+        """Returns whether the ledger has the acceptance of a program, and the status of its result."""
         if not self.path.exists():
-            return False, False
+            return False, None
         with closing(sqlite3.connect(self.path)) as connection:
             row = connection.execute(KEPT, (instance, program)).fetchone()
-        return row is not None, row is not None and row[0] is not None
+        return row is not None, row and row[0]
 
     def owes(self) -> bool:
         """Returns whether the ledger has goals without a result; reads it only after a write."""

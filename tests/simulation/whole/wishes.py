@@ -98,8 +98,8 @@ class Wishes:
     def sure_goal(self) -> dict[str, Any]:
         """Returns a goal of up to four waypoints that succeeds in calm; several configurations may serve each."""
         tips, reachable, random = self._daemon.space.tips, self._reachable(), self._random
-        apart = 2 * self._daemon.pace.needed(len(self._labels))
-        places = [tips[random.choice(reachable)].tolist() for _ in range(random.choice([1, 3, 4]))]
+        apart = 1.1 * self._daemon.pace.needed(len(self._labels))
+        places = [tips[random.choice(reachable)].tolist() for _ in range(random.choice([1, 2, 3]))]
         waypoints = [{"position": place, "t": k * apart} for k, place in enumerate(places)]
         tolerance = {"position": random.choice([0.05, 0.3, 1.0])}
         return {**self.simple_goal(), "waypoints": waypoints, "tolerance": tolerance}
@@ -194,7 +194,7 @@ class Wishes:
 
     def regions(self) -> list[dict[str, Any]]:
         """Returns discs on the way of some configurations; most do not touch the arm at rest."""
-        discs = [self._disc() for _ in range(self._random.choice([0, 1, 1, 2, 4]))]
+        discs = [self._disc() for _ in range(self._random.choice([0, 1, 1, 2, 3, 4]))]
         return [
             {"disc": {"centre": [disc.x, disc.y], "radius": disc.radius}, "name": f"disc{k}"}
             for k, disc in enumerate(discs)

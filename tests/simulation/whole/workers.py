@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from functools import partial
@@ -11,7 +12,6 @@ from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.planning.core.events import Answered, Event
 from hyperbit.controller.planning.core.tasks import (
     Answer,
-    DescribePlan,
     Done,
     Failed,
     FollowSetpoint,
@@ -27,9 +27,9 @@ from tests.simulation.agenda import Agenda
 from tests.simulation.verdict import require
 
 ABANDONED_WITHIN = 0.05  # [s]
-LONG_PLAN = 4.0  # times as long as other searches takes a plan that is only described
-DEARER, DEAREST = 1.2, 0.05  # price of a look at the clock: a multiple of the last one's, and most [s]
+DEARER, DEAREST = 1.3, 0.2  # price of a look at the clock: a multiple of the last one's, and most [s]
 LATER = 1.0  # [s] after a task that was late, in which others make up for it
+DRAWN = "drawn"  # text of the exception of a task that fails
 USUAL_DELAY = 0.01  # [s], mean time of a task
 
 
@@ -41,17 +41,19 @@ class LookClock(WorkClock):
 
     def __init__(self, agenda: Agenda, first: float) -> None:
         super().__init__()
-        self._agenda, self._first, self._price = agenda, first, first
+        self._agenda, self._first, self._price, self._fails = agenda, first, first, False
 
     def now(self) -> float:
+        if self._fails:
+            raise ValueError(DRAWN)
         self.charge(self._price)
         self._price = min(DEARER * self._price, DEAREST)
         return self._agenda.now + super().now()
 
-    def begin(self) -> None:
-        """Begins a task: its work counts from now on."""
+    def begin(self, fails: bool) -> None:
+        """Begins a task: its work counts from now on. `fails`: its first look at the clock raises."""
         self.charge(-super().now())
-        self._price = self._first
+        self._price, self._fails = self._first, fails
 
 
 class Mood:
@@ -61,11 +63,11 @@ class Mood:
         delay: mean time of a task [s].
         fails: share of the tasks that end by an exception.
         hangs: whether the next task of a goal is never answered.
-        errs: share of the plans that end before their goal.
+        errs: share of the plans that end before their goal; `erred_at` is the time of the last one [s].
     """
 
     def __init__(self) -> None:
-        self.errs = 0.0
+        self.errs, self.erred_at = 0.0, -math.inf
         self.mend()
 
     @property
@@ -138,19 +140,22 @@ class LateWorkers:
         if self._mood.hangs and isinstance(task, PlanGoal) and number not in self._abandoned:
             self._mood.hangs, self._hung = False, number
             return
-        self._clock.begin()
+        abandoned = number in self._abandoned
+        fails = not abandoned and self._random.random() < self._mood.fails
+        self._clock.begin(fails)
         self._workers.carry_out(name)
-        answers = deque(event.answer for event in self._found if isinstance(event, Answered))
+        found = [event for event in self._found if isinstance(event, Answered)]
         self._found.clear()
-        require(not isinstance(answers[-1], Failed), f"internal error in {type(task).__name__}: {answers[-1]}")
-        delay = self._random.expovariate(1 / self._mood.delay)
-        if number in self._abandoned:
-            delay = 0.0
-        elif self._random.random() < self._mood.fails:
-            answers = deque([Failed("ValueError: drawn")])
+        text, answers = f"{type(task).__name__} is answered by {found}", deque(event.answer for event in found)
+        require([event.last for event in found] == [*(False for _ in found[1:]), True], f"{text}: which is the last?")
+        require(not abandoned or list(answers) == [Done()], f"{text}, and was abandoned before its turn")
+        require(fails or not isinstance(answers[-1], Failed), f"internal error: {text}")
+        delay = 0.0 if abandoned else self._random.expovariate(1 / self._mood.delay)
+        if fails and not isinstance(answers[-1], Failed):  # a task that does not look at the clock
+            answers = deque([Failed(DRAWN)])
         elif isinstance(answers[0], Planned) and self._random.random() < self._mood.errs:
-            answers = deque([cut_short(answers[0])])
-        delay *= 0.3 if isinstance(task, FollowSetpoint) else LONG_PLAN if isinstance(task, DescribePlan) else 1.0
+            answers, self._mood.erred_at = deque([cut_short(answers[0])]), self._agenda.now
+        delay *= 0.3 if isinstance(task, FollowSetpoint) else 1.0
         self._after(delay, lambda: self._proceed(name, number, answers))
 
     def _after(self, delay: float, happen: Callable[[], None]) -> None:
