@@ -20,8 +20,8 @@ from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from hyperbit.drivers.simulation.firmware import SimulatedBoard
 from hyperbit.drivers.simulation.objects import Objects
 from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS, Variant
+from tests.simulation.buses.boards import Hardware
 from tests.simulation.buses.bus_model import OnItsWay
-from tests.simulation.buses.hardware import Hardware
 
 TICK = 0.01
 BOARD = "can0/5"  # which the words below mean if they name no other

@@ -39,9 +39,8 @@ from hyperbit.drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlo
 from hyperbit.drivers.simulation.variants import Variant
 from tests.executor.fake_master import FakeMaster
 from tests.simulation.agenda import Agenda
-from tests.simulation.buses.hardware import Hardware
-from tests.simulation.executor.process import WAKE_UP, ExecutorProcess
-from tests.simulation.executor.witness import Witness
+from tests.simulation.buses.boards import Hardware
+from tests.simulation.executor.process import WAKE_UP, ExecutorProcess, Witness
 
 SIZE = 6
 ALL = (1 << SIZE) - 1

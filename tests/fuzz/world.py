@@ -35,10 +35,9 @@ from hyperbit.drivers.canopen.wire.events import FrameIgnored, FrameReceived
 from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from tests.executor.rig import LABELS, SIZE, small_arm
 from tests.fuzz.judge import Judge, Moved, Wedged
+from tests.simulation.buses.boards import Hardware
 from tests.simulation.buses.bus_model import OnItsWay
-from tests.simulation.buses.hardware import Hardware
-from tests.simulation.executor.process import WAKE_UP, ExecutorProcess
-from tests.simulation.executor.witness import Witness
+from tests.simulation.executor.process import WAKE_UP, ExecutorProcess, Witness
 
 NODES = (5, 9)
 TRAVEL = 0.02

@@ -16,8 +16,7 @@ from pathlib import Path
 
 from tests.simulation import events
 from tests.simulation.fieldbus.world import BoardWorld
-from tests.simulation.statements.daemon import OF_CLIENTS, OF_THE_ARM
-from tests.simulation.statements.executor import EVERY
+from tests.simulation.statements.every import OF_CLIENTS, OF_THE_ARM, OF_THE_EXECUTOR
 from tests.simulation.verdict import Violation
 from tests.simulation.whole.planner_process import LOGS
 from tests.simulation.world import World
@@ -25,7 +24,7 @@ from tests.simulation.world import World
 KINDS = ("scripted", "whole", "boards")
 STEPS_A_SEED = {"scripted": 5_000, "whole": 15_000, "boards": 3_000}  # many arms find more than long lives
 LONG = 100_000  # steps of scripted or whole worlds, within which each of their statements must have been armed
-JUDGES = {"scripted": EVERY, "whole": (*OF_CLIENTS, *OF_THE_ARM), "boards": ()}  # statements with a floor
+JUDGES = {"scripted": OF_THE_EXECUTOR, "whole": (*OF_CLIENTS, *OF_THE_ARM), "boards": ()}  # statements with a floor
 MOST_FAILED = 20  # failed seeds, after which the run ends
 
 
@@ -95,8 +94,9 @@ class Turns:
         return ", ".join(f"{self._first} to {seed - 1} ({kind})" for kind, seed in self._seeds.items())
 
 
-def world_of(seed: int, kind: str) -> World | BoardWorld:
-    return BoardWorld(seed) if kind == "boards" else World(seed, whole=kind == "whole")
+def world_of(seed: int, kind: str, remembered: int = 300) -> World | BoardWorld:
+    """Returns a world with its last `remembered` events."""
+    return BoardWorld(seed, remembered) if kind == "boards" else World(seed, kind == "whole", remembered)
 
 
 def run(seed: int, kind: str, most: int, told: bool, counts: Counter[str], failed: list[str]) -> int:

@@ -1,14 +1,17 @@
-"""What must work after all trouble has ended: the arm runs a program or a goal, and nothing is owed."""
+"""What must work when no trouble is left: programs, goals among obstacles, and the report of one fault."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from random import Random
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
+from hyperbit.controller.program import unpack
 from tests.simulation.planner import ScriptedPlanner
+from tests.simulation.statements.containers import check_containers
 from tests.simulation.verdict import Violation, require
-from tests.simulation.whole.containers import check_containers
 
 if TYPE_CHECKING:
     from tests.simulation.whole.daemon import Daemon
@@ -23,6 +26,9 @@ TASKS, PLANS, CHANGES = 5, 6, 2  # goals of a time of work, most plans before ea
 BESIDE = (*("obstacles",) * 6, *("degrade",) * 3, "cancel", "cancel", "stop", "goal", "goal", "stream", "disk")
 STREAM = 0.3  # [s]
 CHANGED_WITHIN = 0.2  # [s] of the begin of a goal, or of another change
+TOLD_WITHIN, BOOTED_WITHIN = 1.0, 30.0  # [s] from a cause to its warning, and back; until an executor is ready again
+WARNED = 11.0  # [s] for which a warning of the shell stays after its cause, and a moment
+LONG = 0.1  # share of such a warning, from that of others: the world is over soon
 MOST_PROGRAMS = 30  # programs, one each 0.1 s, until one is accepted: the last switch may still be read back
 RESTARTED_WITHIN = 10.0  # [s] until a planner or an executor that was killed has started again
 HUNG_WITHIN = 200.0  # [s] until a planner with a hung worker has started again
@@ -137,3 +143,62 @@ def check_daemon(world: World, daemon: Daemon) -> None:
     counts = [max(known, told) for known, told in zip(storage.counts, daemon.counted, strict=True)]
     require(list(storage.counts) == counts, f"the ledger counts {storage.counts}, the executor {daemon.counted}")
     world.account.see("told_all")
+
+
+# --- one fault of the daemon's side: exactly its row is told, and it is over when the fault is
+
+
+class Row(NamedTuple):
+    """A fault: its code, how it begins and ends, and when it is over [s]."""
+
+    code: str
+    begin: Callable[[], object]
+    end: Callable[[], object]
+    over: float
+    also: frozenset[str] = frozenset()  # codes that may be told, too
+
+
+def one_fault(world: World, daemon: Daemon, random: Random) -> None:
+    """Lets one fault happen; calm clients remove obstacles and locks by themselves."""
+    rows = _rows(world, daemon, random)
+    row = random.choices(rows, [LONG if row.over == WARNED else 1.0 for row in rows])[0]
+    before = codes(daemon)
+    daemon.wanted = True
+    world.account.see("breaks", before | row.also | {row.code})
+    row.begin()
+    world.wait(lambda: row.code in codes(daemon), f"told as {row.code}", TOLD_WITHIN + BOOTED_WITHIN * bool(row.also))
+    row.end()
+    world.wait(lambda: daemon.state is not None and row.code not in codes(daemon), f"without {row.code}", row.over)
+    world.account.see("is_mended")
+    daemon.wanted = False
+
+
+def codes(daemon: Daemon) -> set[str]:
+    return set() if daemon.state is None else {fault["code"] for fault in daemon.state["faults"]}
+
+
+def _rows(world: World, daemon: Daemon, random: Random) -> list[Row]:
+    clients, snapshot, labels = daemon.clients, daemon.snapshot, daemon.executed.actuators
+    assert snapshot is not None
+    booting = frozenset(("unknown-position", "executor-lost", "outputs-off", "board-lost"))
+
+    def fill_disk() -> None:
+        daemon.fill_disk(0)
+        clients.ask("goal", clients.wishes.simple_goal())
+
+    rows = [
+        Row("network-lost", lambda: daemon.lose_network(True), lambda: daemon.lose_network(False), WARNED),
+        Row("clock-set", lambda: daemon.set_clock(3600.0), lambda: None, WARNED),
+        Row("ledger-unwritten", fill_disk, daemon.mend, TOLD_WITHIN),
+        Row("executor-lost", world.executor.kill, lambda: None, BOOTED_WITHIN, booting),
+    ]
+    if (at := daemon.space.index.get(unpack(snapshot.measured))) is not None:  # a jog may leave what the arm may take
+        here = {"disc": {"centre": daemon.space.tips[at].tolist(), "radius": 0.01}, "name": "here"}
+        regions = {"regions": [here]}
+        rows.append(Row("in-obstacle", lambda: clients.ask("obstacles", regions), lambda: None, TOLD_WITHIN))
+    free = [label for k, label in enumerate(labels) if not unpack(snapshot.locked) >> k & 1]
+    if free:
+        label = random.choice(free)
+        lock = {"actuator": label, "state": unpack(snapshot.measured) >> labels.index(label) & 1}
+        rows.append(Row("degraded", lambda: clients.ask("degrade", lock), lambda: None, TOLD_WITHIN))
+    return [row for row in rows if row.code not in codes(daemon)]

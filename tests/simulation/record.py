@@ -12,8 +12,8 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.bus_model import RPDOS
-from tests.simulation.executor.witness import Witness
-from tests.simulation.facts import Energised, Switch
+from tests.simulation.executor.process import Witness
+from tests.simulation.statements.motions import Energised, Switch
 
 
 class Record(Witness):

@@ -13,13 +13,11 @@ from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.agenda import Agenda, StepsAreOver
 from tests.simulation.buses.board_side import BoardSide
 from tests.simulation.buses.bus_model import BusModel, OnItsWay
-from tests.simulation.calm import check_daemon, run_a_goal, run_a_program, work
+from tests.simulation.calm import check_daemon, one_fault, run_a_goal, run_a_program, work
 from tests.simulation.executor.arm_file import judge_file
 from tests.simulation.executor.arms import draw_arm, draw_boards
-from tests.simulation.executor.habits import Habits
-from tests.simulation.executor.process import ExecutorProcess
+from tests.simulation.executor.process import ExecutorProcess, Habits, Witnesses
 from tests.simulation.executor.strangers import Strangers
-from tests.simulation.executor.witness import Witnesses
 from tests.simulation.faults.processes import STILL
 from tests.simulation.faults.sight import Sight
 from tests.simulation.faults.trouble import Trouble
@@ -27,13 +25,11 @@ from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.record import Record
 from tests.simulation.single_faults import SingleFaults
 from tests.simulation.statements.account import Account
-from tests.simulation.statements.daemon import statements_of_clients
-from tests.simulation.statements.executor import every_statement
+from tests.simulation.statements.every import of_clients, of_the_executor
 from tests.simulation.statements.objects import BoardObjects
 from tests.simulation.struck import StruckWorld
 from tests.simulation.verdict import Violation, require
 from tests.simulation.whole.daemon import Daemon
-from tests.simulation.whole.one_fault import one_fault
 from tests.simulation.whole.planned_arms import draw_planned_arm
 
 ROUNDS = ("one fault",) * 5 + ("requests",) * 3 + ("commission", "end", "trouble")  # of worlds with a scripted planner
@@ -81,7 +77,7 @@ class World(StruckWorld):
             for bus in arm.wiring.buses
         }
         self.account = Account(self)
-        self.account.judge(every_statement(self.account))
+        self.account.judge(of_the_executor(self.account))
         self.objects = next(one for one in self.account.statements.every if isinstance(one, BoardObjects))
         witness = Witnesses(record, self.account)
         self.habits = habits = Habits(drawn("habits"))
@@ -101,8 +97,8 @@ class World(StruckWorld):
                 arm, planned, agenda, drawn, self.executor, self.note, simulated, self.account
             )
             witness.add(self.daemon.exchange)
-            of_clients = statements_of_clients(self.daemon.exchange, arm, planned, self.daemon.space)
-            self.account.judge([*every_statement(self.account), *of_clients])
+            seen = of_clients(self.daemon.exchange, arm, planned, self.daemon.space)
+            self.account.judge([*of_the_executor(self.account), *seen])
         cut_off = self.planner.cut_off if isinstance(self.planner, ScriptedPlanner) else self.planner.network.cut_off
         self.executor.connect(self.planner.connection.deliver, cut_off)
         self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board, self.account)

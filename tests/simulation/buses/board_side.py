@@ -11,11 +11,10 @@ from hyperbit.drivers.simulation.variants import Variant
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.boards import AttachedBoards
 from tests.simulation.buses.bus_model import OnItsWay
-from tests.simulation.facts import Energised, Switch
 from tests.simulation.record import Record
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.arm import merged
-from tests.simulation.statements.motions import Sync
+from tests.simulation.statements.motions import Energised, Switch, Sync
 
 FOREIGN_START = "foreign START"
 LIES = ("lose_sensor", "cut_wires", "short_wires")  # faults of end-stops

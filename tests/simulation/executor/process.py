@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.core.core import Executor
@@ -17,7 +18,9 @@ from hyperbit.controller.executor.core.events import (
     ClientId,
     Event,
     ExecutorTick,
+    FaultPlayed,
     FromClient,
+    Health,
     SendFrame,
     ToClient,
     ToSimulation,
@@ -25,7 +28,7 @@ from hyperbit.controller.executor.core.events import (
 from hyperbit.controller.executor.process.journal_file import FileJournal
 from hyperbit.controller.flight_recorder import FlightRecorder
 from hyperbit.controller.host.process import Log, Notify, Quit
-from hyperbit.controller.program import TICK, Goodbye, Up
+from hyperbit.controller.program import TICK, FaultVerb, Goodbye, PlayableFaults, Up
 from hyperbit.drivers.canopen.wire.events import (
     BusChanged,
     BusOverrun,
@@ -36,14 +39,71 @@ from hyperbit.drivers.canopen.wire.events import (
 )
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.bus_model import BusModel
-from tests.simulation.executor.habits import Habits
-from tests.simulation.executor.witness import Witness
 
 MEMORY = Path("/dev/shm")
 SOON = 0.001  # [s] before diagnostics are due at which a tick asks for the figures of the process
 LOOP_FAILS = "the simulated loop fails"  # text of a defect that the world draws
 OF_BUSES = FrameReceived, FrameEchoed, FrameIgnored, BusChanged, BusOverrun, SendFailed
 WAKE_UP = 0.0002  # [s], longest wake-up time of a process that is not stalled
+BEAT = 0.4  # [s], the watchdog time of the simulated unit
+VERB = FaultVerb("silence", "board", "", "the board sends nothing")
+PLAYABLE = PlayableFaults((VERB,), ("can0/1",), ("can0",), ())
+PLAYED = "done: it is played"
+
+
+class Witness:
+    """Sees what the executor's process takes and does: a fact of a kind calls the method of this name, see `Account`.
+
+    What `sends` returns belongs to the frame.
+    """
+
+    def see(self, kind: str, *facts: Any) -> Any:
+        take = getattr(type(self), kind, None)
+        return None if take is None else take(self, *facts)
+
+
+class Witnesses:
+    """Several witnesses. The first that knows tells what belongs to a frame."""
+
+    def __init__(self, *witnesses: Witness) -> None:
+        self._witnesses = list(witnesses)
+
+    def add(self, witness: Witness) -> None:
+        self._witnesses.append(witness)
+
+    def see(self, kind: str, *facts: Any) -> Any:
+        told = [witness.see(kind, *facts) for witness in self._witnesses]
+        return next((one for one in told if one is not None), None)
+
+
+class Habits:
+    """The drawn habits of the processes of one world.
+
+    Attributes:
+        watchdog: systemd's watchdog time [s]; None without a watchdog.
+        simulation: faults that can be played in the boards; None: the boards count as real.
+        problem: what is wrong with the switch journal; None: nothing.
+    """
+
+    def __init__(self, random: Random) -> None:
+        self.watchdog = random.choice([None, BEAT])
+        self.simulation = random.choice([None, PLAYABLE])
+        self.problem: str | None = None
+        self.dropped = 0
+        self._random = random
+
+    def figures(self) -> Event | None:
+        """Returns the figures that the loop passes to its core, or None if it is too late for them."""
+        if self._random.random() < 0.1:
+            return None
+        loop = {"ticks": self._random.randint(1, 100), "late_worst": self._random.random()}
+        return Health(loop, self.dropped, self.problem)
+
+    def play(self, action: ToSimulation) -> FaultPlayed:
+        """Returns whether a fault was played; the simulated boards of this world play none of them."""
+        played = self._random.random() < 0.5
+        text = PLAYED if played else f"there is no fault {action.fault}"
+        return FaultPlayed(action.client, action.request, text, played)
 
 
 class ExecutorProcess:

@@ -11,12 +11,12 @@ from typing import Any
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import Event, FrameEchoed
 from tests.simulation.agenda import Agenda
-from tests.simulation.facts import Switch
 from tests.simulation.faults.fault import Deck, Fault, Told
 from tests.simulation.fieldbus.arms import Drawn
 from tests.simulation.fieldbus.boots import BootsAreSound
 from tests.simulation.fieldbus.site import Site
 from tests.simulation.fieldbus.statements import EVERY
+from tests.simulation.statements.motions import Switch
 from tests.simulation.statements.objects import BoardObjects
 from tests.simulation.statements.pins import NoStartChangesAPin
 from tests.simulation.statements.statement import Statements

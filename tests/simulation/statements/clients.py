@@ -7,9 +7,9 @@ from pathlib import Path
 
 from hyperbit.controller.executor.core.events import Event, FromClient
 from hyperbit.controller.program import Acknowledge, Cancel, Hello, Setpoint, Stop
-from tests.simulation.facts import Switch
 from tests.simulation.statements.asked import Payload, Ran, Request
 from tests.simulation.statements.exchange import PAUSE, SAME, Exchange
+from tests.simulation.statements.motions import Switch
 from tests.simulation.statements.statement import Statement
 
 PAGE = Path(__file__).parents[3] / "controller" / "refusals" / "README.md"

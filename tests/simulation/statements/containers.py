@@ -1,15 +1,29 @@
-"""The statement on containers: none grows without a bound, whatever the clients do."""
+"""No container grows without a bound, whatever the clients do."""
 
 from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Set
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.statement import Statement
+from tests.simulation.verdict import require
 
+if TYPE_CHECKING:
+    from tests.simulation.whole.planner_process import PlannerProcess
+
+ROOMS = ("hyperbit.controller.planning.core", "hyperbit.controller.planning.loop", "hyperbit.controller.gateway")
+MOST = 24  # entries of a container when nothing is asked for
+HISTORIES = {  # greatest lengths of those that keep what is over
+    "Admission.canceled": 256,
+    "Admission.unresolved": 256,
+    "RepeatedGoals.known": 1_000,
+    "Results._told": 10**6,  # one identity for each goal of the process
+    "Rate._times": 100,
+}
+OPAQUE = ("_manipulator", "manipulator", "_arm", "_description", "_densities", "publishers", "_tracker", "_filter")
 ROOM = 25  # elements of all containers beyond those of an arm at its first rest
 PLAIN = (int, float, str, bytes, bool, type(None), Enum, type, tuple)
 
@@ -64,3 +78,15 @@ class ContainersReturnToTheirSize(Statement):
         grown = {path: size for path, size in now.items() if size > self._first[path] + 4}
         room = ROOM + len(account.owed)
         self.require(total <= first + room, f"the containers have grown from {first} to {total}: {grown}")
+
+
+def check_containers(process: PlannerProcess) -> None:
+    """Checks that no container has grown, when all requests are answered and all goals have ended."""
+    roots = process.core, process.server, process.outbox, process.goals, process.loop
+    for name, length in lengths(roots, ours, OPAQUE):
+        require(length <= HISTORIES.get(name, MOST), f"{name} has {length} entries, and nothing is asked for")
+
+
+def ours(value: object) -> bool:
+    """Returns whether an object is of the planner or the gateway."""
+    return type(value).__module__.startswith(ROOMS) and not isinstance(value, tuple)

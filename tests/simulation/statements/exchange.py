@@ -22,7 +22,7 @@ from hyperbit.controller.program import (
     Welcome,
     unpack,
 )
-from tests.simulation.executor.witness import Witness
+from tests.simulation.executor.process import Witness
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.asked import Heard, Payload, Ran, Request, body_of, states_from
 from tests.simulation.whole.configurations import Disc

@@ -116,3 +116,27 @@ class Sync(NamedTuple):
     strict: bool
     homing: int
     asked: list[tuple[Motion, list[int]]]
+
+
+class Switch(NamedTuple):
+    """Changed outputs. `cause` is "SYNC", another frame, "time", "fault" or "foreign START"; `sync` that SYNC."""
+
+    mask: int
+    after: int
+    cause: str
+    bus: str
+    sync: Sync | None
+
+
+class Energised(NamedTuple):
+    """Coils of actuators with two coils: those that came on, all that are on, and those that came on without effect.
+
+    `cause` is that of `Switch`.
+    """
+
+    came: int
+    on: int
+    again: int
+    cause: str
+    bus: str
+    sync: Sync | None

@@ -1,16 +1,19 @@
-"""What the boards drive and what end-stops read, with its history, as the judge sees it from outside."""
+"""What the boards drive, what end-stops read, and when doors are open, as the judge sees it from outside."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
 
+from hyperbit.controller.executor.arm.arm import ExecutedArm
+from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.agenda import Agenda
-from tests.simulation.facts import Energised, Switch
+from tests.simulation.buses.bus_model import TPDOS
 from tests.simulation.statements.arm import JudgedArm, bits_of, merged
-from tests.simulation.statements.motions import Pins
+from tests.simulation.statements.motions import Energised, Pins, Switch
 
 REMEMBERED = 100  # pins and readings
+REACHED = 0.005  # [s] from a change of an input to the arrival of its TPDO
 
 
 class PinRecord:
@@ -88,3 +91,30 @@ class PinRecord:
     def _touch(self, mask: int, times: list[float]) -> None:
         for k in bits_of(mask):
             times[k] = self._agenda.now
+
+
+class Doors:
+    """The interlocks of an arm: when the executor must know that a door is open.
+
+    Attributes:
+        known_at: when inputs have reached the executor since a door was opened; infinity before [s].
+    """
+
+    def __init__(self, arm: ExecutedArm) -> None:
+        self._boards = {f"{lock.bus}/{lock.node}" for lock in arm.wiring.interlocks}
+        self._opened_at = self.known_at = math.inf  # [s]
+
+    def open(self, now: float) -> None:
+        self._opened_at = min(self._opened_at, now)
+
+    def close_all(self) -> None:
+        self._opened_at = self.known_at = math.inf
+
+    def hear(self, bus: str, frame: Frame, now: float) -> None:
+        told = f"{bus}/{frame.id & 0x7F}" in self._boards and frame.id & 0x780 in TPDOS
+        if told and now > self._opened_at + REACHED:
+            self.known_at = min(self.known_at, now)
+
+    def forget(self) -> None:
+        """The executor has lost what boards told of doors."""
+        self.known_at = math.inf

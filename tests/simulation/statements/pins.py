@@ -9,10 +9,9 @@ from hyperbit.controller.program import TICK, Answer, Cancel, Stop, Up, unpack
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.buses.board_side import FOREIGN_START
-from tests.simulation.facts import Energised, Switch
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.arm import bits_of
-from tests.simulation.statements.motions import EPSILON
+from tests.simulation.statements.motions import EPSILON, Energised, Switch
 from tests.simulation.statements.statement import Statement
 
 ROUNDED = 0.01  # [s] by which boards round their time-out

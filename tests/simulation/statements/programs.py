@@ -21,10 +21,9 @@ from hyperbit.controller.program import (
     unpack,
 )
 from hyperbit.drivers.canopen.wire.events import FrameReceived
-from tests.simulation.facts import Energised, Switch
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.arm import bits_of, merged
-from tests.simulation.statements.motions import EPSILON, Motion
+from tests.simulation.statements.motions import EPSILON, Energised, Motion, Switch
 from tests.simulation.statements.statement import Statement
 
 NOTICED = 0.1  # [s] until a silence is noticed

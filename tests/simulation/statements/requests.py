@@ -22,9 +22,8 @@ from hyperbit.controller.program import (
     Trial,
     Up,
 )
-from tests.simulation.facts import Energised, Switch
 from tests.simulation.statements.account import Account
-from tests.simulation.statements.motions import Sync
+from tests.simulation.statements.motions import Energised, Switch, Sync
 from tests.simulation.statements.statement import Statement
 
 NOTICED = 0.1  # [s] until a reading is noticed

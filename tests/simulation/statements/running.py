@@ -7,9 +7,9 @@ from hyperbit.controller.program import TICK, Cancel, Diagnostics, Stop, Up
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.executor.process import LOOP_FAILS
-from tests.simulation.facts import Switch
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.arm import mask_of
+from tests.simulation.statements.motions import Switch
 from tests.simulation.statements.statement import Statement
 
 LOOK_EVERY = 0.005  # [s] between two looks at the buses

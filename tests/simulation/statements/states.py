@@ -8,10 +8,10 @@ from hyperbit.controller.executor.core.events import Event, FromClient
 from hyperbit.controller.program import Accepted, Clearance, Question, Snapshot, Up, unpack
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.buses.bus_model import RPDOS
-from tests.simulation.facts import Switch
 from tests.simulation.statements.asked import Payload, Ran, Request, discs_of, measured_of, states_from
 from tests.simulation.statements.exchange import Exchange
 from tests.simulation.statements.mechanics import Mechanics
+from tests.simulation.statements.motions import Switch
 from tests.simulation.statements.results import OfTheArm, codes_of
 from tests.simulation.whole.configurations import Disc
 

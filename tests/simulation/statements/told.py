@@ -20,10 +20,9 @@ from hyperbit.controller.program import (
     Welcome,
     unpack,
 )
-from tests.simulation.facts import Energised, Switch
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.arm import bits_of, mask_of
-from tests.simulation.statements.motions import EPSILON
+from tests.simulation.statements.motions import EPSILON, Energised, Switch
 from tests.simulation.statements.statement import Statement
 
 LATE = 0.1  # [s] that a snapshot may be late
