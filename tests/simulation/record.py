@@ -47,6 +47,10 @@ class Record(Witness):
         self.instance += 1
         self._mode = "starting"
 
+    def forgets(self) -> None:
+        self._note("the switch journal is lost")
+        self.synced, self.slack = [0] * len(self.synced), [0] * len(self.slack)
+
     def killed(self) -> None:
         self._note("the executor is dead")
         self.counts["executors that ended"] += 1

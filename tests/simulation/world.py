@@ -93,6 +93,8 @@ class World(StruckWorld):
             self.strangers = Strangers(*parts, lambda: self.account.planner is not None)
         else:
             simulated = habits.simulation is not None
+            judged = self.account.arm
+            habits.forgets = not (judged.paired | judged.forgone) & ~judged.sensed  # else the journal alone knows
             self.planner = self.daemon = Daemon(
                 arm, planned, agenda, drawn, self.executor, self.note, simulated, self.account
             )

@@ -45,6 +45,7 @@ SOON = 0.001  # [s] before diagnostics are due at which a tick asks for the figu
 LOOP_FAILS = "the simulated loop fails"  # text of a defect that the world draws
 OF_BUSES = FrameReceived, FrameEchoed, FrameIgnored, BusChanged, BusOverrun, SendFailed
 WAKE_UP = 0.0002  # [s], longest wake-up time of a process that is not stalled
+FORGOTTEN = 0.2  # share of the ends of a process after which somebody deletes the files of its journal
 BEAT = 0.4  # [s], the watchdog time of the simulated unit
 VERB = FaultVerb("silence", "board", "", "the board sends nothing")
 PLAYABLE = PlayableFaults((VERB,), ("can0/1",), ("can0",), ())
@@ -83,14 +84,19 @@ class Habits:
         watchdog: systemd's watchdog time [s]; None without a watchdog.
         simulation: faults that can be played in the boards; None: the boards count as real.
         problem: what is wrong with the switch journal; None: nothing.
+        forgets: whether the files of the switch journal are lost between some processes.
     """
 
     def __init__(self, random: Random) -> None:
         self.watchdog = random.choice([None, BEAT])
         self.simulation = random.choice([None, PLAYABLE])
         self.problem: str | None = None
+        self.forgets = False
         self.dropped = 0
         self._random = random
+
+    def forgets_now(self) -> bool:
+        return self.forgets and self._random.random() < FORGOTTEN
 
     def figures(self) -> Event | None:
         """Returns the figures that the loop passes to its core, or None if it is too late for them."""
@@ -156,6 +162,10 @@ class ExecutorProcess:
         self._events.clear()
         habits, self._quitting = self._habits, False
         extras = (None, None) if habits is None else (habits.watchdog, habits.simulation)
+        if habits is not None and habits.forgets_now():
+            for path in Path(self._files.name).iterdir():
+                path.unlink()
+            self._witness.see("forgets")
         self.journal = self.journal if self.instances == 1 else self._opened()
         self.core = Executor(self._arm, self.journal, self.instances, *extras)
         if self.recorder is not None:

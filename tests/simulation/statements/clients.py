@@ -109,7 +109,8 @@ class EachGoalHasOneResult(OfClients):
             accepted, recorded = self.exchange.recorded(ran)
             if accepted or (ran.request is not None and ran.request.accepted):
                 self.require(ran.results, lambda ran=ran: f"{ran.goal} was accepted, and has no result")  # type: ignore[misc]
-                right = ran.results and recorded == ran.results[0]["status"]
+                told = [(one["status"], one["code"], one["message"]) for one in ran.results]
+                right = told and recorded == told[0]
                 self.require(right, f"the ledger tells of {ran.goal}: {recorded}; its results are {ran.results}")
 
 

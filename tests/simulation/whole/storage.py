@@ -21,7 +21,7 @@ MEMORY = Path("/dev/shm")
 DAMAGED = b"{", b"\xff", b'{"": {}}', b"[]"  # files of poses
 LOOK_EVERY = 0.5  # [s] between two looks of the ledger's thread
 OWED = "SELECT count(*) FROM goals WHERE ended IS NULL"
-KEPT = "SELECT status FROM goals WHERE instance = ? AND program = ?"
+KEPT = "SELECT status, code, message FROM goals WHERE instance = ? AND program = ?"
 
 
 class Storage:
@@ -64,13 +64,13 @@ class Storage:
         with mock.patch.object(files.log, "disabled", True):
             return Poses(self._poses, "home of the model")
 
-    def has(self, instance: int, program: int) -> tuple[bool, str | None]:
-        """Returns whether the ledger has the acceptance of a program, and the status of its result."""
+    def has(self, instance: int, program: int) -> tuple[bool, tuple[str, int, str] | None]:
+        """Returns whether the ledger has the acceptance of a program; and status, code and message of its result."""
         if not self.path.exists():
             return False, None
         with closing(sqlite3.connect(self.path)) as connection:
             row = connection.execute(KEPT, (instance, program)).fetchone()
-        return row is not None, row and row[0]
+        return row is not None, row if row and row[0] else None
 
     def owes(self) -> bool:
         """Returns whether the ledger has goals without a result; reads it only after a write."""
