@@ -19,7 +19,18 @@ from hyperbit.controller.planning.core.parts import Admission
 from hyperbit.controller.planning.core.results import why_not_as_planned
 from hyperbit.controller.planning.core.tasks import PlanGoal
 from hyperbit.controller.planning.workers import computations
-from hyperbit.controller.program import Acknowledge, Begun, Cancel, Lock, Program, Replaced, Replacement, pack, unpack
+from hyperbit.controller.program import (
+    Acknowledge,
+    Begun,
+    Cancel,
+    Counted,
+    Lock,
+    Program,
+    Replaced,
+    Replacement,
+    pack,
+    unpack,
+)
 from hyperbit.controller.refusals import codes
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.search.solver import Solver
@@ -40,6 +51,14 @@ def taken(desk: Desk, *configurations: tuple[int, ...], **fields: Any) -> Progra
 
 def replies(desk: Desk, key: str = "reply") -> list[str | None]:
     return [payload.get("reason") for came, payload in desk.inbox.payloads if came == key]
+
+
+def test_an_executor_that_has_lost_its_journal_gets_the_latest_counts(desk: Desk) -> None:
+    counts = tuple(range(1, 1 + desk.executor.actuators))
+    desk.executor.send(Counted(counts))
+    desk.executor.greet()
+    assert desk.raised == counts
+    assert desk.counts == counts
 
 
 def test_a_goal_is_timed_and_its_progress_is_told(desk: Desk) -> None:

@@ -207,16 +207,22 @@ class Core:
             case program.Question():
                 self._obstacles.ask(message)
             case program.Counted(counts):
-                self._act(events.RecordCounts(counts))
+                self._count(counts)
             case program.Diagnostics():
                 self._view.diagnostics = message
-                self._act(events.RecordCounts(message.counts))
+                self._count(message.counts)
             case program.Welcome():
                 self._view.receive_welcome(message, self._counts)
                 self._parts.last_number = max(self._parts.last_number, message.program)
                 self._act(events.ToExecutor(program.Counts(self._counts)))
                 self._results.met(message.instance)
                 self._silent, self._alive_at = 0, self._moment.now
+
+    def _count(self, counts: tuple[int, ...]) -> None:
+        """Records the executor's counts. The next executor gets the greatest, in case it has lost its journal."""
+        if len(counts) == len(self._counts):
+            self._counts = tuple(map(max, self._counts, counts))
+        self._act(events.RecordCounts(counts))
 
     def _keep_alive(self) -> None:
         """Reports to the executor that the planner is alive, and detects a silent executor.

@@ -100,7 +100,8 @@ class Desk:
         self.said = list[tuple[str, Any]]()
         self.inbox, self.published, self.entries = Inbox(self.said), dict[str, Any](), list[tuple[Any, ...]]()
         self.hurried = list[int]()  # numbers of tasks
-        self.lines, self.failures, self.counts = list[Log](), list[str](), (0,) * len(arm.manipulator.actuators)
+        self.lines, self.failures = list[Log](), list[str]()
+        self.counts = self.raised = (0,) * len(arm.manipulator.actuators)  # of the ledger; sent to an executor
         self.notified, self.publications = list[str](), list[tuple[float, str]]()
         self.started, self.steps = Counter[type[Task]](), 0
         self.held, self.failing, self.storing = set[type[Task]](), set[type[Task]](), True
@@ -188,7 +189,9 @@ class Desk:
             case RecordCounts(counts):
                 self.counts = counts
             case ToExecutor(message):
-                if not isinstance(message, Alive | Counts):
+                if isinstance(message, Counts):
+                    self.raised = message.counts
+                elif not isinstance(message, Alive):
                     self._to_executor(message)
             case Start(number, task):
                 self.queued[number] = task
