@@ -22,8 +22,8 @@ OWED_WITHIN = 12.0  # [s]: results of an earlier process wait until clients have
 MOST_HUNG = 12  # goals that wait for a hung worker in vain, until the planner starts again
 SETTLES = 1.2  # [s]: what arrives within a second after a standstill may be refused as too late
 GOALS, TOGETHER, DRAWN = 2, 3, 6  # most goals in calm one after another, and at once; most further requests
-TASKS, PLANS, CHANGES = 5, 6, 2  # goals of a time of work, most plans before each, most changes of obstacles in each
-BESIDE = (*("obstacles",) * 6, *("degrade",) * 3, "cancel", "cancel", "stop", "goal", "goal", "stream", "disk")
+TASKS, PLANS, CHANGES = 8, 3, 2  # goals of a time of work, most plans before each, most changes of obstacles in each
+BESIDE = (*("nothing",) * 8, *("obstacles",) * 4, *("degrade",) * 2, "cancel", "stop", "goal", "stream", "disk")
 STREAM = 0.3  # [s]
 CHANGED_WITHIN = 0.2  # [s] of the begin of a goal, or of another change
 TOLD_WITHIN, BOOTED_WITHIN = 1.0, 30.0  # [s] from a cause to its warning, and back; until an executor is ready again
@@ -69,12 +69,13 @@ def run_a_goal(world: World, daemon: Daemon) -> None:
         if answer is not None or daemon.process is process:
             break
     require(answer is not None and answer["accepted"], f"no goal was accepted after all trouble: {answer}")
-    for _ in range(world.drawn(GOALS)):
+    for left in reversed(range(1 + world.drawn(GOALS))):
         assert answer is not None
         name = answer["id"]
         world.wait(lambda name=name: name in daemon.results, "done", DONE_WITHIN)  # type: ignore[misc]
         world.account.see("tried", daemon.results[name])
-        answer = ask(world, daemon, "goal", daemon.clients.wishes.sure_goal(), ("accepted",))
+        if left:
+            answer = ask(world, daemon, "goal", daemon.clients.wishes.sure_goal(), ("accepted",))
     if world.drawn_half():
         ask_in_calm(world, daemon)
     daemon.wanted = False
@@ -97,7 +98,8 @@ def work(world: World, daemon: Daemon) -> None:
     daemon.wanted = True
     for _ in range(TASKS):
         world.wait(lambda: not daemon.exchange.running and world.settled(), "at rest", world.ready_within)
-        ask(world, daemon, "obstacles", {"regions": wishes.regions()}, ("accepted",))
+        if world.drawn_half():
+            ask(world, daemon, "obstacles", {"regions": wishes.regions()}, ("accepted",))
         beside = BESIDE[world.drawn(len(BESIDE) - 1)]
         if beside == "degrade":
             ask(world, daemon, "degrade", wishes.lock(), ())
@@ -109,7 +111,7 @@ def work(world: World, daemon: Daemon) -> None:
         answer = ask(world, daemon, "goal", wishes.goal(), ())
         if answer is None or not answer["accepted"]:
             continue
-        for _ in range(world.drawn(CHANGES)):
+        for _ in range(0 if beside == "nothing" else world.drawn(CHANGES)):
             world.pass_time(CHANGED_WITHIN * world.share())
             if beside == "obstacles":
                 clients.ask("obstacles", {"regions": wishes.regions()})

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,17 +44,8 @@ class Mechanics:
         self.labels, self.space = labels, space
         self.uniform = set(space.weights) == {1.0}
         self._tolerance, self._angle = arm.tolerance, arm.angle_tolerance
-        self.tips: dict[int, Tip] = {}
-        modules = arm.manipulator.modules
-        for states in product(*(range(len(module.frames)) for module in modules)):
-            frame: Any = np.array(arm.manipulator.base, float)
-            bits: list[int] = []
-            for module, state in zip(modules, states, strict=True):
-                frame = frame @ np.array(module.frames[state], float)
-                bits += map(int, module.bits[state])
-            code = sum(bit << k for k, bit in enumerate(bits))
-            position = float(frame[0, 3]), float(frame[1, 3])
-            self.tips[code] = Tip("".join(map(str, states)), position, math.atan2(frame[1, 0], frame[0, 0]))
+        named = zip(space.codes.tolist(), space.notations, space.tips.tolist(), space.angles.tolist(), strict=True)
+        self.tips = {code: Tip(notation, (x, y), angle) for code, notation, (x, y), angle in named}
         self.codes = {tip.notation: code for code, tip in self.tips.items()}
 
     def code(self, known: bytes, measured: bytes) -> int:

@@ -78,7 +78,7 @@ class Clients:
     def __init__(self, daemon: Daemon, random: Random) -> None:
         self.calm, self.wishes = False, Wishes(daemon, random)
         self._daemon, self._agenda, self._random = daemon, daemon.agenda, random
-        self._labels, self._dimension = daemon.executed.actuators, daemon.arm.manipulator.dimension
+        self._labels = daemon.executed.actuators
         self._prefix = f"hyperbit/{daemon.arm.settings.name}"
         self._attached = 0
         self._client = 0  # that acts now

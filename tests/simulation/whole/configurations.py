@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.manipulator import Manipulator
-from hyperbit.controller.manipulator.notation import format_configuration
-from tests.simulation.whole.planned_arms import integer
 
 Costs = NDArray[np.float64]
 
@@ -62,11 +60,12 @@ class Configurations:
         for i, module in enumerate(manipulator.modules):
             frames.append(frames[-1] @ module.frames[every[:, i]])
         self.weights, self._body = tuple(weights), body
-        self.codes = np.array([integer(manipulator.actuator_states(row)) for row in every])
+        bits = [module.bits[every[:, i]] for i, module in enumerate(manipulator.modules)]
+        self.codes = np.concatenate(bits, axis=1).astype(np.int64) @ (1 << np.arange(len(weights)))
         self.joints = np.stack([frame[:, :size, 3] for frame in frames], axis=1)
         self.tips = self.joints[:, -1].copy()
         self.angles = np.arctan2(frames[-1][:, 1, 0], frames[-1][:, 0, 0])
-        self.notations = [format_configuration(manipulator, row) for row in every]
+        self.notations = ["".join(map(str, row)) for row in every.tolist()]
         self.index = {code: k for k, code in enumerate(self.codes.tolist())}
         differ = self.codes[:, None] ^ self.codes
         apart = sum(differ >> k & 1 for k in range(len(weights)))

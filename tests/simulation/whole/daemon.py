@@ -37,13 +37,14 @@ from tests.simulation.whole.workers import LookClock, Mood
 from tests.simulation.whole.zenoh_model import LATENCY, TRANSMITTED, Sent, ZenohModel
 
 OFFSET = 4e-4  # of measured tips from computed ones; less than the tolerance
-LOOKS = 1e-6, 1e-5, 1e-4, 1e-3, 5e-3  # [s] that the first look at the clock in a task counts
+LOOKS = 1e-6, 1e-6, 1e-5, 1e-4, 5e-4  # [s] that the first look at the clock in a task counts
 SIZES = (  # None: the arm is listed whole
     None,
-    ListSizes(2, 4, 8, 4, 4, 16, 1),
     ListSizes(4, 8, 16, 4, 4, 64, 2),
+    ListSizes(8, 12, 16, 4, 4, 64, 2),
     ListSizes(8, 16, 32, 16, 16, 256, 4),
-    ListSizes(4, 8, 16, 4, 4, 64, 2, 4, 12),
+    ListSizes(16, 24, 32, 8, 8, 256, 8),
+    ListSizes(8, 16, 32, 4, 4, 64, 2, 4, 12),
 )
 MARKS = 5  # two goals have six: of acceptances, of published results, and of recorded ones
 STANDSTILL = 1.0  # [s] of a halt, after which results may wait for clients to reconnect

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from random import Random
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.settings import ArmSettings
@@ -82,17 +80,8 @@ def draw_settings(random: Random, arm: ExecutedArm) -> ArmSettings:
         "planner_timeout": arm.planner_timeout,
         "body_radius": random.choice([0.0, 0.02]),
         "workspace": {"pixel": 0.05},
-        "method": random.choice(["minimum-switch", "minimum-switch", "ipop-previous"]),
+        "method": random.choice([*["minimum-switch"] * 5, "ipop-previous"]),
     }
     if random.random() < 0.3:
         fields["tracker"] = {"noise": 1e-5, "clamp": 1e-3, "hold": 5.0}
     return msgspec.convert(fields, ArmSettings)
-
-
-def integer(states: NDArray[np.integer]) -> int:
-    """Returns actuator states (A,) as an integer, actuator k in bit k."""
-    return int.from_bytes(np.packbits(states.astype(np.uint8), bitorder="little").tobytes(), "little")
-
-
-def away(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    return math.dist(first.tolist(), second.tolist())

@@ -52,7 +52,7 @@ class Wishes:
             message["id"] = f"g{self.numbers}"
         if random.random() < 0.15:
             message["stamp"] = self._daemon.wall() + random.uniform(0.6 if self._willing else -0.5, 1.0)
-        if random.random() < 0.5:
+        if random.random() < 0.7:
             chosen = {"position": random.choice([0.05, 0.3, 1.0])}
             message["tolerance"] = {**message.get("tolerance", {}), **chosen}
         if random.random() < 0.1:
