@@ -209,8 +209,8 @@ class BoundsAreTrue(OfTheArm):
         What is refused as out of reach is that.
         """
         refused = UNREACHED.match(answer["message"]) if answer.get("reason") in OUT_OF_REACH else None
-        judged = request.key == "plan" and (answer["accepted"] or refused) and not request.lined
-        if not judged or "bias" in (self.exchange.state or {}):
+        judged = (answer["accepted"] and request.key == "plan") or (refused and request.key in ("plan", "goal"))
+        if not judged or request.lined or "bias" in (self.exchange.state or {}):
             return
         heard = list(self.exchange.lately(self.exchange.awake - request.awake))
         starts = {(s.measured, s.known, s.outputs, s.locked, s.moving) for s in heard if s is not None}

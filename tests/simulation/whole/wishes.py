@@ -55,11 +55,19 @@ class Wishes:
         if random.random() < 0.7:
             chosen = {"position": random.choice([0.05, 0.3, 1.0])}
             message["tolerance"] = {**message.get("tolerance", {}), **chosen}
+            for waypoint in waypoints if "path_tolerance" not in message else ():
+                self._shift(waypoint, random.choice([0.0, 0.5, 0.95]) * chosen["position"])
         if random.random() < 0.1:
             message["deadline"] = random.choice([1.0, 5.0] if self._willing else [0.1, 1.0, 5.0])
         if random.random() < 0.2:
             message["begin_within"] = random.choice([1.0, 5.0] if self._willing else [0.2, 1.0, 5.0])
         return message
+
+    def _shift(self, waypoint: dict[str, Any], distance: float) -> None:
+        """Moves a waypoint by a distance in any direction: perhaps into an obstacle."""
+        if "position" in waypoint:
+            angle, (x, y) = self._random.uniform(-math.pi, math.pi), waypoint["position"]
+            waypoint["position"] = [x + distance * math.cos(angle), y + distance * math.sin(angle)]
 
     def _turn(self, message: dict[str, Any]) -> None:
         """Asks for orientations at some positions: mostly those of configurations."""
@@ -174,14 +182,15 @@ class Wishes:
         return {label: self._random.choice(STATES) for label in self._random.sample(self._labels, count)}
 
     def lock(self) -> dict[str, Any]:
-        """Returns a lock; some leave a module without state, and no end-stop contradicts them."""
+        """Returns a lock; some leave a module without state, or are not as commanded; no end-stop contradicts them."""
         random, snapshot = self._random, self._daemon.snapshot
         label, state = random.choice([*self._labels, self._labels[0], "9.9"]), random.choice([None, None, 0, 1])
         if snapshot is not None and random.random() < 0.3:
             contradicted = unpack(snapshot.sensed) & unpack(snapshot.known)
             every = [(k, value) for k in range(len(self._labels)) for value in (0, 1)]
             every = [(k, v) for k, v in every if not contradicted & (unpack(snapshot.measured) ^ v << k) >> k & 1]
-            bad = [(self._labels[k], value) for k, value in every if not self._leaves_states(k, value)]
+            other = unpack(snapshot.outputs)
+            bad = [(self._labels[k], v) for k, v in every if not self._leaves_states(k, v) or v != other >> k & 1]
             label, state = random.choice(bad or [(label, state)])
         return {"actuator": label, "state": state}
 
