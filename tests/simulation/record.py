@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
-from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.core.events import Event, FromClient
 from hyperbit.controller.program import Accepted, Ended, Program, Replaced, Replacement, Snapshot, Trial, Up
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
-from tests.simulation.agenda import Agenda
 from tests.simulation.buses.bus_model import RPDOS
-from tests.simulation.executor.process import Witness
+from tests.simulation.statements.account import Account
 from tests.simulation.statements.motions import Energised, Switch
+from tests.simulation.statements.statement import Statement
+
+LIES = ("lose_sensor", "cut_wires", "short_wires")  # faults of end-stops
 
 
-class Record(Witness):
-    """The history of a world.
+class Record(Statement):
+    """The history of a world; it sees all facts first, and requires nothing.
 
     Attributes:
         programs: accepted programs, by instance of the executor and number.
@@ -29,8 +30,9 @@ class Record(Witness):
         suspect: mask of the actuators whose boards have missed a frame since their boot.
     """
 
-    def __init__(self, arm: ExecutedArm, agenda: Agenda, note: Callable[[object], None]) -> None:
-        count = len(arm.actuators)
+    def __init__(self, account: Account) -> None:
+        super().__init__(account)
+        count = account.arm.count
         self.counts: Counter[str] = Counter()
         self.instance = 0
         self.programs: dict[tuple[int, int], Program | Trial] = {}
@@ -39,7 +41,7 @@ class Record(Witness):
         self.suspect = self.fallen = 0
         self.lying = self._lied = 0
         self._mode = "starting"
-        self._agenda, self._note = agenda, note
+        self._note = account.world.note
         self._message: object = None
 
     def started(self) -> None:
@@ -90,7 +92,7 @@ class Record(Witness):
     def logs(self, level: int, text: str) -> None:
         self._note(("executor logs", text))
 
-    def arrives(self, bus: str, frame: Frame, missing: int) -> None:
+    def leaves(self, bus: str, frame: Frame, missing: int) -> None:
         """Records a sent frame of the executor; the boards of a mask of actuators do not receive it."""
         self._note(("boards hear", bus, frame, f"not those of {missing:b}" if missing else ""))
         if missing and (frame.id == cia301.SYNC or frame.id & 0x780 in RPDOS):
@@ -99,7 +101,7 @@ class Record(Witness):
             for k in range(len(self.slack)):
                 self.slack[k] += self.suspect >> k & 1
 
-    def switch(self, switch: Switch) -> None:
+    def switches(self, switch: Switch) -> None:
         self._note((f"{switch.mask:b} switched to {switch.after:b}", switch.cause))
         by_sync, sync = switch.cause == "SYNC", switch.sync
         for k in range(len(self.synced)):
@@ -109,16 +111,23 @@ class Record(Witness):
         self.fallen |= switch.mask * (not by_sync)
         self.counts["switches"] += switch.mask.bit_count() * by_sync
 
-    def energise(self, coils: Energised) -> None:
+    def energises(self, coils: Energised) -> None:
         if coils.again:  # the end-stop of one that did not follow its coil told the other state
             for k in range(len(self.slack)):
                 self.slack[k] += coils.again >> k & 1
 
-    def doubt(self, intended: int) -> None:
+    def fault(self, verb: str, name: str) -> None:
+        if verb in LIES:
+            self.lying |= 1 << self.account.arm.labels.index(name)
+        elif verb == "restore_sensor":
+            self.lying &= ~(1 << self.account.arm.labels.index(name))
+
+    def steps(self) -> None:
         """Permits a difference of the counts where nobody can tell whether an intended switch took place.
 
         This is so for outputs that went off unnoticed, and for pairs that are off with broken wires of end-stops.
         """
+        intended = self.account.world.intended
         if not intended and not self._lied:
             return
         lied = intended & self.lying

@@ -71,15 +71,14 @@ class World(StruckWorld):
         self.most = len(arm.actuators) if arm.inrush is None else arm.inrush
         self.agenda = agenda = Agenda()
         self.events: deque[tuple[float, object]] = deque(maxlen=remembered)
-        self.record = record = Record(arm, agenda, self.note)
         self.buses = {
             bus.name: BusModel(bus.name, bus.bitrate, agenda, drawn(bus.name), self._to_boards, self.tell)
             for bus in arm.wiring.buses
         }
         self.account = Account(self)
-        self.account.judge(of_the_executor(self.account))
-        self.objects = next(one for one in self.account.statements.every if isinstance(one, BoardObjects))
-        witness = Witnesses(record, self.account)
+        self.record, every = Record(self.account), of_the_executor(self.account)
+        self.objects = next(one for one in every if isinstance(one, BoardObjects))
+        witness = Witnesses(self.account)
         self.habits = habits = Habits(drawn("habits"))
         self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, witness, habits)
         self.kinds = Kinds(arm.wiring, arm.timing)
@@ -99,11 +98,11 @@ class World(StruckWorld):
                 arm, planned, agenda, drawn, self.executor, self.note, simulated, self.account
             )
             witness.add(self.daemon.exchange)
-            seen = of_clients(self.daemon.exchange, arm, planned, self.daemon.space)
-            self.account.judge([*of_the_executor(self.account), *seen])
+            every += of_clients(self.daemon.exchange, arm, planned, self.daemon.space)
+        self.account.judge([self.record, *every])
         cut_off = self.planner.cut_off if isinstance(self.planner, ScriptedPlanner) else self.planner.network.cut_off
         self.executor.connect(self.planner.connection.deliver, cut_off)
-        self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board, self.account)
+        self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, self._from_board, self.account)
         levels = arm.wiring.loss_levels[len(arm.actuators) :]
         self.let_go = sum(1 << k for k, level in zip(arm.wiring.paired, levels, strict=True) if level == 1)
         self.wiring, self.timing = arm.wiring, arm.timing
@@ -173,7 +172,6 @@ class World(StruckWorld):
     def one_step(self) -> None:
         """Runs the next event, and judges it."""
         self.agenda.step()
-        self.record.doubt(self.intended)
         self.account.see("steps")
 
     def _let_strangers_stop(self, may: bool) -> None:

@@ -11,17 +11,15 @@ from hyperbit.drivers.simulation.variants import Variant
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.boards import AttachedBoards
 from tests.simulation.buses.bus_model import OnItsWay
-from tests.simulation.record import Record
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.arm import merged
 from tests.simulation.statements.motions import Energised, Switch, Sync
 
 FOREIGN_START = "foreign START"
-LIES = ("lose_sensor", "cut_wires", "short_wires")  # faults of end-stops
 
 
 class BoardSide(AttachedBoards):
-    """All boards of an arm, seen by the record.
+    """All boards of an arm, seen by the account.
 
     Attributes:
         names: mask of the actuators of each board, by the board's name.
@@ -35,7 +33,6 @@ class BoardSide(AttachedBoards):
         timing: Timing,
         variants: Mapping[str, Variant],
         agenda: Agenda,
-        record: Record,
         send: Callable[[str, Frame], None],
         account: Account,
     ) -> None:
@@ -46,7 +43,7 @@ class BoardSide(AttachedBoards):
             self.names[name] = self.names.get(name, 0) | 1 << k
             self._masks[channel.bus] |= 1 << k
         self.silent = False
-        self._record, self._account = record, account
+        self._account = account
         self._read = True  # whether end-stops may have changed
         self._paired = sum(1 << k for k in wiring.paired)
         self._drives, self._coils = -1, 0  # unknown
@@ -118,7 +115,6 @@ class BoardSide(AttachedBoards):
         boards = {name: mask for name, mask in self.names.items() if name.split("/")[0] == bus}
         deaf = self.deaf_to(bus, frame)
         missing = sum(mask for name, mask in boards.items() if lost or name == deaf or not self.takes_part(name))
-        self._record.arrives(bus, frame, missing)
         self._account.see("leaves", bus, frame, missing)
         if not lost:
             self.receive(bus, frame, _words(frame), sent.belongs_to)
@@ -130,10 +126,6 @@ class BoardSide(AttachedBoards):
     def fault(self, verb: str, name: str, *numbers: float | str) -> None:
         if verb == "power_on" and self.simulated.board(name).state is not None:
             return
-        if verb in LIES:
-            self._record.lying |= 1 << self.simulated.labels.index(name)
-        elif verb == "restore_sensor":
-            self._record.lying &= ~(1 << self.simulated.labels.index(name))
         self._account.see("fault", verb, name)
         super().fault(verb, name, *numbers)
         self._read = True  # of an end-stop that reads otherwise since the fault
@@ -181,10 +173,8 @@ class BoardSide(AttachedBoards):
             self._read_ends()
         for bus, mask in self._masks.items():
             if changed & mask:
-                self._record.switch(Switch(changed & mask, after, cause, bus, sync))
                 self._account.see("switches", Switch(changed & mask, after, cause, bus, sync))
             coils_of_bus = Energised(came & mask, on & mask, came & mask & ~changed, cause, bus, sync)
-            self._record.energise(coils_of_bus)
             if came & mask or (on ^ was_on) & mask:
                 self._account.see("energises", coils_of_bus)
 

@@ -209,7 +209,7 @@ class BoundsAreTrue(OfTheArm):
         What is refused as out of reach is that.
         """
         refused = UNREACHED.match(answer["message"]) if answer.get("reason") in OUT_OF_REACH else None
-        judged = (answer["accepted"] and request.key == "plan") or (refused and request.key in ("plan", "goal"))
+        judged = (request.key == "plan" and answer["accepted"]) or (refused and request.key in ("plan", "goal"))
         if not judged or request.lined or "bias" in (self.exchange.state or {}):
             return
         heard = list(self.exchange.lately(self.exchange.awake - request.awake))

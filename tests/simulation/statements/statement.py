@@ -64,6 +64,8 @@ class Statements:
         """Returns how often each statement was reached and armed."""
         counts: Counter[str] = Counter()
         for one in self.every:
+            if not one.number:
+                continue
             counts[f"{one.title()}: armed"] += one.armed
             counts[f"{one.title()}: reached"] += one.reached
         return counts
