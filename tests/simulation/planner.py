@@ -36,10 +36,9 @@ from hyperbit.controller.program import (
     unpack,
 )
 from tests.simulation.agenda import Agenda
-from tests.simulation.executor.commissioner import commissioning
 from tests.simulation.executor.connection import Connection
 from tests.simulation.executor.process import ExecutorProcess
-from tests.simulation.executor.programs import Author, Drawn
+from tests.simulation.executor.programs import Author, Drawn, commissioning
 
 ACTS: dict[str, float] = {"program": 30, "bad program": 8, "bad set-point": 6, "bad replacement": 5, "replacement": 12}
 ACTS |= {"park": 6, "resume": 12, "set-point": 20, "wait": 40, "cancel": 3, "cancel program": 2, "reset": 1, "lock": 4}

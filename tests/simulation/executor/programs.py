@@ -1,4 +1,4 @@
-"""Random requests of a planner: programs, replacements and set-points, correct ones and bad ones."""
+"""Random requests of a planner: programs, replacements, set-points, correct and bad ones; and of a commissioner."""
 
 from __future__ import annotations
 
@@ -9,7 +9,24 @@ from random import Random
 import msgspec
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
-from hyperbit.controller.program import Program, Replacement, Setpoint, Snapshot, Stage, Trial, pack, unpack
+from hyperbit.controller.program import (
+    Cancel,
+    Down,
+    Lock,
+    Program,
+    Replacement,
+    Reset,
+    Setpoint,
+    Snapshot,
+    Stage,
+    Trial,
+    pack,
+    unpack,
+)
+
+NOBODY = 10**9  # number of the requests whose answers nobody awaits
+TRIES = {"trial": 30, "wait": 20, "cancel": 3, "cancel program": 2, "reset": 1, "operator": 1, "planner": 1}
+TRIES |= {"acknowledge": 4, "forbidden": 0.5}
 
 
 @dataclass
@@ -223,3 +240,29 @@ class Author:
             settled = at + random.choice([0.0, self._travel])
             stages.append(Stage(pack(states, self._count), at, mark if marked else -1, settled if marked else 0.0))
         return stages
+
+
+def commissioning(
+    author: Author, random: Random, snapshot: Snapshot, number: int, now: float
+) -> tuple[str, Down | None]:
+    """A commissioner tries actuators, cancels, resets, and leaves: returns the name of an act, and its message if any.
+
+    `number`: of its trial or program.
+    """
+    if snapshot.mode in ("fault", "stopped") and random.random() < 0.2:
+        return "reset", Reset(NOBODY, snapshot.epoch)
+    act = random.choices(list(TRIES), list(TRIES.values()))[0]
+    match act:
+        case "trial":
+            return act, author.trial(snapshot, number, now)
+        case "cancel":
+            return act, Cancel(NOBODY, None, "canceled by a person")
+        case "cancel program":
+            return act, Cancel(NOBODY, number - random.randint(0, 1), "left")
+        case "reset":
+            return act, Reset(NOBODY, snapshot.epoch - (random.random() < 0.2 and snapshot.epoch > 0))
+        case "forbidden":
+            stream, drawn = author.setpoint(snapshot, number, now), author.program(snapshot, number, now)
+            return act, random.choice([drawn.program, stream, Lock(NOBODY, 0, 1)])
+        case _:
+            return act, None

@@ -189,8 +189,6 @@ class Account(Witness):
                 self.doors.hear(bus, frame, self.now)
             case BusChanged(_, "bus-off" | "down"):  # its boards are lost, and so is what they told of doors
                 self.doors.forget()
-            case _:
-                pass
 
     @property
     def greets_planner(self) -> bool:
@@ -218,8 +216,6 @@ class Account(Witness):
                 self.owed.pop(message.result, None)
             case Setpoint() if client == self.planner and message.epoch >= self.epoch:
                 self.followed.append(Motion(message, self.order, self.now))
-            case _:
-                pass
 
     def bar(self) -> None:
         """Takes the permission to move from all that was asked for so far."""
@@ -263,8 +259,6 @@ class Account(Witness):
                     self.booted = True
                 self.shown, self.epoch = message, message.epoch
                 self.followed = [one for one in self.followed if one.number >= message.stream]
-            case _:
-                pass
 
     def tells(self, client: ClientId, message: Up) -> None:
         lock = self.message

@@ -86,8 +86,6 @@ class AStopIsABarrier(Statement):
                 self._asked[client, message.request] = self.account.order
             case FromClient(client, Cancel(program=None) as message):
                 self._asked[client, message.request] = self.account.order
-            case _:
-                pass
 
     def tells(self, client: ClientId, message: Up) -> None:
         if isinstance(message, Answer) and (client, message.request) in self._asked:

@@ -93,8 +93,6 @@ class OneResultEach(Statement):
         match event:
             case FromClient(client, Acknowledge(result)) if client == self.account.planner:
                 self._acknowledged.add(result)
-            case _:
-                pass
 
     def killed(self) -> None:
         self._again = set()

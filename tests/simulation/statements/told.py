@@ -200,8 +200,6 @@ class NumbersNeverFall(Statement):
                 )
             case Ended() if message.result not in self.account.owed:
                 self._grows("result", message.result)
-            case _:
-                pass
 
     def _grows(self, name: object, value: float, strictly: bool = True) -> None:
         last = self._last.get(name)
@@ -231,8 +229,6 @@ class EpochsEnd(Statement):
                 self._ended = account.epoch
             case ClientGone(client) if client == account.planner:
                 self._ended = account.epoch
-            case _:
-                pass
 
     def says(self, message: Up) -> None:
         if isinstance(message, Snapshot) and self._ended >= 0:
