@@ -13,6 +13,7 @@ from tests.simulation.statements.motions import Switch
 from tests.simulation.statements.statement import Statement
 
 PAGE = Path(__file__).parents[3] / "controller" / "refusals" / "README.md"
+STARVED = "no further stages"  # in the result of a program that has waited for them in vain
 EXECUTOR_WITHIN = 3.0  # [s] for the executor's answer, and the ledger's
 AT_ONCE = 1.0  # [s] for what the planner's process knows
 OBSTACLES_WITHIN = 6.0  # [s] for what waits until a silent executor counts as lost
@@ -186,10 +187,14 @@ class OnlyFreshSetpointsAreFollowed(OfClients):
 
 
 class CalmMeansReady(OfClients):
-    """In calm the arm is ready, and a simple goal succeeds."""
+    """In calm the arm is ready, a simple goal succeeds, and no goal waits for stages in vain."""
 
     number = 10
     least = 4
+
+    def ends(self, ran: Ran, payload: Payload) -> None:
+        if self.account.clear and ran.ended is not None:
+            self.require(STARVED not in ran.ended.message, lambda: f"{ran.program} is not fed: {ran.ended}")
 
     def tried(self, result: Payload) -> None:
         self.require(result["status"] == "succeeded", lambda: f"a simple goal ends as {result}")

@@ -56,18 +56,25 @@ class Wishes:
             chosen = {"position": random.choice([0.05, 0.3, 1.0])}
             message["tolerance"] = {**message.get("tolerance", {}), **chosen}
             for waypoint in waypoints if "path_tolerance" not in message else ():
-                self._shift(waypoint, random.choice([0.0, 0.5, 0.95]) * chosen["position"])
+                self._shift(waypoint, chosen["position"])
         if random.random() < 0.1:
             message["deadline"] = random.choice([1.0, 5.0] if self._willing else [0.1, 1.0, 5.0])
         if random.random() < 0.2:
             message["begin_within"] = random.choice([1.0, 5.0] if self._willing else [0.2, 1.0, 5.0])
         return message
 
-    def _shift(self, waypoint: dict[str, Any], distance: float) -> None:
-        """Moves a waypoint by a distance in any direction: perhaps into an obstacle."""
-        if "position" in waypoint:
-            angle, (x, y) = self._random.uniform(-math.pi, math.pi), waypoint["position"]
-            waypoint["position"] = [x + distance * math.cos(angle), y + distance * math.sin(angle)]
+    def _shift(self, waypoint: dict[str, Any], tolerance: float) -> None:
+        """Moves a position within the tolerance: into an obstacle, or in any direction."""
+        random = self._random
+        if "position" not in waypoint:
+            return
+        place, discs = waypoint["position"], sorted(self._daemon.exchange.possible)
+        near = [[disc.x, disc.y] for disc in discs if math.dist(place, disc[:2]) < 0.95 * tolerance]
+        if near and random.random() < 0.5:
+            waypoint["position"] = random.choice(near)
+        else:
+            angle, by = random.uniform(-math.pi, math.pi), random.choice([0.0, 0.5, 0.95]) * tolerance
+            waypoint["position"] = [place[0] + by * math.cos(angle), place[1] + by * math.sin(angle)]
 
     def _turn(self, message: dict[str, Any]) -> None:
         """Asks for orientations at some positions: mostly those of configurations."""
