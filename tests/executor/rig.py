@@ -40,7 +40,8 @@ from hyperbit.drivers.simulation.variants import Variant
 from tests.executor.fake_master import FakeMaster
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.boards import Hardware
-from tests.simulation.executor.process import WAKE_UP, ExecutorProcess, Witness
+from tests.simulation.executor.process import WAKE_UP, ExecutorProcess
+from tests.simulation.statements.statement import Witness
 
 SIZE = 6
 ALL = (1 << SIZE) - 1

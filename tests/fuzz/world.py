@@ -37,7 +37,8 @@ from tests.executor.rig import LABELS, SIZE, small_arm
 from tests.fuzz.judge import Judge, Moved, Wedged
 from tests.simulation.buses.boards import Hardware
 from tests.simulation.buses.bus_model import OnItsWay
-from tests.simulation.executor.process import WAKE_UP, ExecutorProcess, Witness
+from tests.simulation.executor.process import WAKE_UP, ExecutorProcess
+from tests.simulation.statements.statement import Witness
 
 NODES = (5, 9)
 TRAVEL = 0.02

@@ -23,7 +23,8 @@ MOST_HUNG = 12  # goals that wait for a hung worker in vain, until the planner s
 SETTLES = 1.2  # [s]: what arrives within a second after a standstill may be refused as too late
 GOALS, TOGETHER, DRAWN = 2, 3, 6  # most goals in calm one after another, and at once; most further requests
 TASKS, PLANS, CHANGES = 8, 3, 2  # goals of a time of work, most plans before each, most changes of obstacles in each
-BESIDE = (*("nothing",) * 8, *("obstacles",) * 4, *("degrade",) * 2, "cancel", "stop", "goal", "stream", "disk")
+BESIDE = (*("nothing",) * 8, *("obstacles",) * 4, *("degrade",) * 2, "cancel", "stop", "goal", "stream")
+TROUBLES = ("disk", "disk", "fails", "fails", "write", "write")  # the executor dies in a write of its journal
 STREAM = 0.3  # [s]
 CHANGED_WITHIN = 0.2  # [s] of the begin of a goal, or of another change
 TOLD_WITHIN, BOOTED_WITHIN = 1.0, 30.0  # [s] from a cause to its warning, and back; until an executor is ready again
@@ -92,20 +93,33 @@ def ask_in_calm(world: World, daemon: Daemon) -> None:
         ask(world, daemon, *daemon.clients.wishes.drawn())
 
 
-def work(world: World, daemon: Daemon) -> None:
+def work(world: World, daemon: Daemon, peaceful: bool) -> None:
     """Lets clients set obstacles, ask for plans at rest, then for a goal; one thing happens beside each goal."""
     clients, wishes = daemon.clients, daemon.clients.wishes
+    every = BESIDE if peaceful else BESIDE + TROUBLES
     daemon.wanted = True
+
+    def mend() -> None:
+        daemon.mend()
+        world.executor.recover()
+
     for _ in range(TASKS):
+        mend()
         world.wait(lambda: not daemon.exchange.running and world.settled(), "at rest", world.ready_within)
         if world.drawn_half():
-            ask(world, daemon, "obstacles", {"regions": wishes.regions()}, ("accepted",))
-        beside = BESIDE[world.drawn(len(BESIDE) - 1)]
-        if beside == "degrade":
-            ask(world, daemon, "degrade", wishes.lock(), ())
-        elif beside == "disk":
+            ask(world, daemon, "obstacles", {"regions": wishes.regions()}, ())
+        beside = every[world.drawn(len(every) - 1)]
+        if beside in TROUBLES:
             world.disturb()
-            daemon.fill_disk(world.drawn(3))
+        match beside:
+            case "degrade":
+                ask(world, daemon, "degrade", wishes.lock(), ())
+            case "disk":
+                daemon.fill_disk(world.drawn(3))
+            case "fails":
+                daemon.mood.fails = 0.5
+            case "write":
+                world.executor.die_in_write()
         for _ in range(world.drawn(PLANS)):
             ask(world, daemon, "plan", wishes.goal(), ())
         answer = ask(world, daemon, "goal", wishes.goal(), ())
@@ -120,7 +134,7 @@ def work(world: World, daemon: Daemon) -> None:
             elif beside == "stream":
                 clients.stream(STREAM)
         world.wait(lambda name=answer["id"]: name in daemon.results, "done", DONE_WITHIN)  # type: ignore[misc]
-    daemon.mend()
+    mend()
     world.wait(lambda: not daemon.exchange.running, "at the end of all goals", DONE_WITHIN)
     daemon.wanted = False
     check_daemon(world, daemon)

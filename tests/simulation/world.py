@@ -16,7 +16,7 @@ from tests.simulation.buses.bus_model import BusModel, OnItsWay
 from tests.simulation.calm import check_daemon, one_fault, run_a_goal, run_a_program, work
 from tests.simulation.executor.arm_file import judge_file
 from tests.simulation.executor.arms import draw_arm, draw_boards
-from tests.simulation.executor.process import ExecutorProcess, Habits, Witnesses
+from tests.simulation.executor.process import ExecutorProcess, Habits
 from tests.simulation.executor.strangers import Strangers
 from tests.simulation.faults.processes import STILL
 from tests.simulation.faults.sight import Sight
@@ -27,6 +27,7 @@ from tests.simulation.single_faults import SingleFaults
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.every import of_clients, of_the_executor
 from tests.simulation.statements.objects import BoardObjects
+from tests.simulation.statements.statement import Witnesses
 from tests.simulation.struck import StruckWorld
 from tests.simulation.verdict import Violation, require
 from tests.simulation.whole.daemon import Daemon
@@ -146,7 +147,7 @@ class World(StruckWorld):
     def _whole_round(self, daemon: Daemon) -> None:
         """Lets clients ask, and the planner die at one of their goals; trouble follows. In peace there is neither."""
         if self._random.random() < (PEACEFUL_WORK if self._peaceful else WORK):
-            work(self, daemon)
+            work(self, daemon, self._peaceful)
             return
         self.planner.be_calm(False)
         if not self._peaceful:

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.core.core import Executor
@@ -39,6 +38,7 @@ from hyperbit.drivers.canopen.wire.events import (
 )
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.bus_model import BusModel
+from tests.simulation.statements.statement import Witness
 
 MEMORY = Path("/dev/shm")
 SOON = 0.001  # [s] before diagnostics are due at which a tick asks for the figures of the process
@@ -50,31 +50,6 @@ BEAT = 0.4  # [s], the watchdog time of the simulated unit
 VERB = FaultVerb("silence", "board", "", "the board sends nothing")
 PLAYABLE = PlayableFaults((VERB,), ("can0/1",), ("can0",), ())
 PLAYED = "done: it is played"
-
-
-class Witness:
-    """Sees what the executor's process takes and does: a fact of a kind calls the method of this name, see `Account`.
-
-    What `sends` returns belongs to the frame.
-    """
-
-    def see(self, kind: str, *facts: Any) -> Any:
-        take = getattr(type(self), kind, None)
-        return None if take is None else take(self, *facts)
-
-
-class Witnesses:
-    """Several witnesses. The first that knows tells what belongs to a frame."""
-
-    def __init__(self, *witnesses: Witness) -> None:
-        self._witnesses = list(witnesses)
-
-    def add(self, witness: Witness) -> None:
-        self._witnesses.append(witness)
-
-    def see(self, kind: str, *facts: Any) -> Any:
-        told = [witness.see(kind, *facts) for witness in self._witnesses]
-        return next((one for one in told if one is not None), None)
 
 
 class Habits:
@@ -153,6 +128,7 @@ class ExecutorProcess:
         self._clients: set[ClientId] = set()
         self._actions_left: int | None = None
         self._tearable = False  # a kill now may be in the middle of the journal's last write
+        self._dies_in_write = False
 
     def start(self) -> None:
         """Starts a process if none runs, and opens the buses."""
@@ -199,13 +175,13 @@ class ExecutorProcess:
 
     def recover(self) -> None:
         """Cancels a planned kill; a stall continues to its end."""
-        self._actions_left = None
+        self._actions_left, self._dies_in_write = None, False
 
     def kill(self) -> None:
         """Ends the process at once, and starts it again later. Frames that it has handed out stay in the controller."""
         if self.core is not None:
             self.core = None
-            self._actions_left = None
+            self._actions_left, self._dies_in_write = None, False
             self._clients.clear()
             self._witness.see("killed")
             self._dies()
@@ -229,6 +205,10 @@ class ExecutorProcess:
     def kill_after(self, actions: int) -> None:
         """Kills the process after `actions` further actions, perhaps in the middle of a step."""
         self._actions_left = actions
+
+    def die_in_write(self) -> None:
+        """Kills the process in the middle of the next write of its journal."""
+        self._dies_in_write = True
 
     def stall(self, seconds: float) -> None:
         """Stalls the process for a time [s]."""
@@ -316,6 +296,8 @@ class ExecutorProcess:
         actions = self.core.step(event, self._agenda.now)
         self.core.check()
         self._tearable = self.journal.number > written
+        if self._tearable and self._dies_in_write:
+            self._actions_left = 0
         if self.recorder is not None:
             self.recorder(event, self._agenda.now, None, actions)
         for action in actions:

@@ -155,6 +155,11 @@ def _kill_both(at: Place) -> None:
     at.world.executor.kill_after(at.random.randint(0, 20))
 
 
+def _die_in_write(at: Place) -> None:
+    at.world.executor.die_in_write()
+    at.world.daemon.clients.move()
+
+
 def _hang(at: Place) -> None:
     if at.random.random() < 0.01:  # each takes minutes
         at.world.daemon.mood.hangs = True
@@ -162,6 +167,7 @@ def _hang(at: Place) -> None:
 
 _add("planner is restarted", 0.0, lambda at: at.world.daemon.end_in_order())
 _add("both are killed", 0.0, _kill_both)
+_add("executor dies in a write", 4.0, _die_in_write, lambda at: at.world.executor.recover())
 _add("planner stands still", 0.0, lambda at: at.world.daemon.stall(at.random.choice([2.5, 4.5, STILL])))
 _add("searches are late", 6.0, _mood("delay", 0.1, 0.5, 3.0), lambda at: at.world.daemon.mood.mend())
 _add("searches fail", 3.0, _mood("fails", 0.1, 0.5, 1.0), lambda at: at.world.daemon.mood.mend())

@@ -36,11 +36,10 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import BusChanged, FrameReceived
 from tests.simulation.buses.bus_model import RPDOS
-from tests.simulation.executor.process import Witness
 from tests.simulation.statements.arm import JudgedArm, merged
 from tests.simulation.statements.motions import Energised, Motion, Switch, Sync
 from tests.simulation.statements.pin_record import Doors, PinRecord
-from tests.simulation.statements.statement import Statement, Statements
+from tests.simulation.statements.statement import Statement, Statements, Witness
 
 if TYPE_CHECKING:
     from tests.simulation.world import World

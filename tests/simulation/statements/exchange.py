@@ -22,9 +22,9 @@ from hyperbit.controller.program import (
     Welcome,
     unpack,
 )
-from tests.simulation.executor.process import Witness
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.asked import Heard, Payload, Ran, Request, body_of, states_from
+from tests.simulation.statements.statement import Witness
 from tests.simulation.whole.configurations import Disc
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The form of a statement: one sentence that must hold in the world, judged over the account."""
+"""The form of a statement: one sentence that must hold in the world, judged over the account; and who tells it."""
 
 from __future__ import annotations
 
@@ -69,3 +69,28 @@ class Statements:
             counts[f"{one.title()}: armed"] += one.armed
             counts[f"{one.title()}: reached"] += one.reached
         return counts
+
+
+class Witness:
+    """Sees what the executor's process takes and does: a fact of a kind calls the method of this name, see `Account`.
+
+    What `sends` returns belongs to the frame.
+    """
+
+    def see(self, kind: str, *facts: Any) -> Any:
+        take = getattr(type(self), kind, None)
+        return None if take is None else take(self, *facts)
+
+
+class Witnesses:
+    """Several witnesses. The first that knows tells what belongs to a frame."""
+
+    def __init__(self, *witnesses: Witness) -> None:
+        self._witnesses = list(witnesses)
+
+    def add(self, witness: Witness) -> None:
+        self._witnesses.append(witness)
+
+    def see(self, kind: str, *facts: Any) -> Any:
+        told = [witness.see(kind, *facts) for witness in self._witnesses]
+        return next((one for one in told if one is not None), None)
