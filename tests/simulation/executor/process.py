@@ -138,11 +138,12 @@ class ExecutorProcess:
         self._events.clear()
         habits, self._quitting = self._habits, False
         extras = (None, None) if habits is None else (habits.watchdog, habits.simulation)
-        if habits is not None and habits.forgets_now():
-            for path in Path(self._files.name).iterdir():
-                path.unlink()
-            self._witness.see("forgets")
-        self.journal = self.journal if self.instances == 1 else self._opened()
+        if self.instances > 1:
+            if habits is not None and habits.forgets_now():
+                for path in Path(self._files.name).iterdir():
+                    path.unlink()
+                self._witness.see("forgets")
+            self.journal = self._opened()
         self.core = Executor(self._arm, self.journal, self.instances, *extras)
         if self.recorder is not None:
             core = self.core
@@ -297,12 +298,17 @@ class ExecutorProcess:
         self.core.check()
         self._tearable = self.journal.number > written
         if self._tearable and self._dies_in_write:
-            self._actions_left = 0
+            self._tear()
+            self.kill()
+            return
         if self.recorder is not None:
             self.recorder(event, self._agenda.now, None, actions)
         for action in actions:
             if self.core is not None:
                 self._do(action)
+
+    def _tear(self) -> None:
+        self.journal.mapped[self.journal.slots[self.journal.number % 2]] ^= 0xFF
 
     def _finish(self) -> None:
         """Ends the process in order: the core tells the last results and counts."""
@@ -315,7 +321,7 @@ class ExecutorProcess:
             self._actions_left -= 1
             if self._actions_left < 0:
                 if self._tearable and self._random.random() < 0.5:
-                    self.journal.mapped[self.journal.slots[self.journal.number % 2]] ^= 0xFF
+                    self._tear()
                 self.kill()
                 return
         self._tearable = False

@@ -140,8 +140,8 @@ class Exchange(Witness):
     def wall(self) -> float:
         return self._daemon.wall()
 
-    def recorded(self, ran: Ran) -> tuple[bool, tuple[str, int, str] | None]:
-        """Returns whether the ledger has the acceptance of a program; and status, code and message of its result."""
+    def recorded(self, ran: Ran) -> tuple[bool, tuple[str, int, str, float] | None]:
+        """Returns whether the ledger has a program; and status, code, message and time of its result."""
         return self._daemon.storage.has(ran.instance, ran.program.program)
 
     # --- clients

@@ -18,10 +18,11 @@ from hyperbit.controller.planning.ledger import Ledger, PublishedResults
 from tests.simulation.agenda import Agenda
 
 MEMORY = Path("/dev/shm")
+Row = tuple[str, int, str, float]  # status, code, message and time of a result
 DAMAGED = b"{", b"\xff", b'{"": {}}', b"[]"  # files of poses
 LOOK_EVERY = 0.5  # [s] between two looks of the ledger's thread
 OWED = "SELECT count(*) FROM goals WHERE ended IS NULL"
-KEPT = "SELECT status, code, message FROM goals WHERE instance = ? AND program = ?"
+KEPT = "SELECT status, code, message, ended FROM goals WHERE instance = ? AND program = ?"
 
 
 class Storage:
@@ -64,8 +65,8 @@ class Storage:
         with mock.patch.object(files.log, "disabled", True):
             return Poses(self._poses, "home of the model")
 
-    def has(self, instance: int, program: int) -> tuple[bool, tuple[str, int, str] | None]:
-        """Returns whether the ledger has the acceptance of a program; and status, code and message of its result."""
+    def has(self, instance: int, program: int) -> tuple[bool, Row | None]:
+        """Returns whether the ledger has the acceptance of a program, and the row of its result."""
         if not self.path.exists():
             return False, None
         with closing(sqlite3.connect(self.path)) as connection:
