@@ -44,6 +44,7 @@ MEMORY = Path("/dev/shm")
 SOON = 0.001  # [s] before diagnostics are due at which a tick asks for the figures of the process
 LOOP_FAILS = "the simulated loop fails"  # text of a defect that the world draws
 OF_BUSES = FrameReceived, FrameEchoed, FrameIgnored, BusChanged, BusOverrun, SendFailed
+FIRST_COUNT = 16  # offset of the first count in a record of the journal
 WAKE_UP = 0.0002  # [s], longest wake-up time of a process that is not stalled
 FORGOTTEN = 0.2  # share of the ends of a process after which somebody deletes the files of its journal
 BEAT = 0.4  # [s], the watchdog time of the simulated unit
@@ -308,7 +309,7 @@ class ExecutorProcess:
                 self._do(action)
 
     def _tear(self) -> None:
-        self.journal.mapped[self.journal.slots[self.journal.number % 2]] ^= 0xFF
+        self.journal.mapped[self.journal.slots[self.journal.number % 2] + FIRST_COUNT] ^= 0xFF
 
     def _finish(self) -> None:
         """Ends the process in order: the core tells the last results and counts."""
