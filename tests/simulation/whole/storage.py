@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import resource
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
+from operator import ge
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
@@ -16,6 +17,7 @@ from hyperbit.controller.host import files
 from hyperbit.controller.planning.core.events import Record
 from hyperbit.controller.planning.ledger import Ledger, PublishedResults
 from tests.simulation.agenda import Agenda
+from tests.simulation.verdict import require
 
 MEMORY = Path("/dev/shm")
 Row = tuple[str, int, str, float]  # status, code, message and time of a result
@@ -127,6 +129,11 @@ class LateLedger(Ledger):
         told, clock = self._entries.append, lambda: agenda.now
         super().__init__(storage.path, actuators, told, write_every=LOOK_EVERY, clock=clock, threaded=False)
         self._look()
+
+    def counts(self, counts: Sequence[int]) -> None:
+        before = self.known
+        super().counts(counts)
+        require(all(map(ge, self.known, before)), f"the counts of the ledger fall from {before} to {self.known}")
 
     def record(self, record: Record) -> None:
         super().record(record)
