@@ -202,7 +202,7 @@ class CalmMeansReady(OfClients):
     """In calm the arm is ready, a simple goal succeeds, and no goal waits for stages in vain."""
 
     number = 10
-    least = 4
+    least = 20
 
     def ends(self, ran: Ran, payload: Payload) -> None:
         if self.account.clear and ran.ended is not None:
