@@ -107,13 +107,14 @@ class Results:
             context = msgspec.structs.replace(context, proof=goal.feed.proof)
             target = None if goal.report is None else goal.report.target(max(goal.report.point, 0))
             outcome = goal.outcome
-        outcome = outcome or outcome_of(view.manipulator, message, measured, context)
-        if outcome.status == "succeeded" and (
-            why := why_not_as_planned(planned, context.proof, message.switches, context.homed)
-        ):
-            outcome = outcome._replace(message=f"{outcome.message}; {why}")
-        if outcome.status == "succeeded" and not message.verified:
-            outcome = outcome._replace(message=f"{outcome.message}; commanded, not verified")
+        if outcome is None:
+            outcome = outcome_of(view.manipulator, message, measured, context)
+            words, succeeded = [outcome.message], outcome.status == "succeeded"
+            if succeeded and (why := why_not_as_planned(planned, context.proof, message.switches, context.homed)):
+                words.append(why)
+            if succeeded and not message.verified:
+                words.append("commanded, not verified")
+            outcome = outcome._replace(message="; ".join(words))
         view.ended(outcome.sentence)
         payload = result_of(view.manipulator, message, measured, context, outcome, target)
         accepted = AcceptanceEntry(context.id, context.sent, context.waypoints)

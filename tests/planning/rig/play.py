@@ -133,7 +133,8 @@ class Play:
     def _begin_anew(self, knows: list[str], message: str) -> None:
         """Goes on with another planner process of the same arm, which finds that it owes a result or has told it."""
         instance, identity = self.executor.instance, Identity(1, self.program.program)
-        told = ResultEntry(0.0, "aborted", -4, message, 3)
+        outcome = ("succeeded", 0) if message.startswith("reached") else ("aborted", -4)
+        told = ResultEntry(0.0, *outcome, message, 3)
         self.desk = Desk(
             self.desk.arm,
             self.desk.densities,
