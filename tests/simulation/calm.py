@@ -24,7 +24,7 @@ SETTLES = 1.2  # [s]: what arrives within a second after a standstill may be ref
 GOALS, TOGETHER, DRAWN = 2, 3, 6  # most goals in calm one after another, and at once; most further requests
 TASKS, PLANS, CHANGES = 8, 3, 2  # goals of a time of work, most plans before each, most changes of obstacles in each
 BESIDE = (*("nothing",) * 8, *("obstacles",) * 4, *("degrade",) * 2, "cancel", "stop", "goal", "stream")
-TROUBLES = ("disk", "fails", *("write",) * 3)  # the executor dies in a write of its journal
+TROUBLES = ("disk", "fails", *("write",) * 3, *("death",) * 3)  # the executor dies in a write of its journal
 STREAM = 0.3  # [s]
 CHANGED_WITHIN = 0.2  # [s] of the begin of a goal, or of another change
 TOLD_WITHIN, BOOTED_WITHIN = 1.0, 30.0  # [s] from a cause to its warning, and back; until an executor is ready again
@@ -120,6 +120,8 @@ def work(world: World, daemon: Daemon, peaceful: bool) -> None:
                 daemon.mood.fails = 0.5
             case "write":
                 world.executor.die_in_write()
+            case "death":
+                daemon.die()
         for _ in range(world.drawn(PLANS)):
             ask(world, daemon, "plan", wishes.goal(), ())
         answer = ask(world, daemon, "goal", wishes.goal(), ())
@@ -135,7 +137,8 @@ def work(world: World, daemon: Daemon, peaceful: bool) -> None:
                 clients.stream(STREAM)
         world.wait(lambda name=answer["id"]: name in daemon.results, "done", DONE_WITHIN)  # type: ignore[misc]
     mend()
-    world.wait(lambda: not daemon.exchange.running, "at the end of all goals", DONE_WITHIN)
+    over = "at the end of all goals"
+    world.wait(lambda: daemon.state is not None and not daemon.exchange.running, over, DONE_WITHIN)
     daemon.wanted = False
     check_daemon(world, daemon)
 

@@ -35,8 +35,8 @@ from tests.simulation.whole.planned_arms import draw_planned_arm
 
 ROUNDS = ("one fault",) * 5 + ("requests",) * 3 + ("commission", "end", "trouble")  # of worlds with a scripted planner
 WHOLE_TROUBLED = 0.9  # share of the rounds of a whole daemon that have a time with many faults
-PEACEFUL = 0.4  # share of the worlds with the whole daemon that have no trouble
-WORK, PEACEFUL_WORK = 0.5, 0.9  # share of the rounds of a whole daemon in which clients wait for each goal's end
+PEACEFUL = 0.3  # share of the worlds with the whole daemon that have no trouble
+WORK, PEACEFUL_WORK = 0.4, 0.9  # share of the rounds of a whole daemon in which clients wait for each goal's end
 FILES = 0.9  # share of the arms that are written to a file and read
 PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all trouble; late SDO answers take long
 
