@@ -15,7 +15,7 @@ from tests.simulation.statements.mechanics import NEAR, SLACK, Mechanics, apart_
 CODES = {"succeeded": 0, "canceled": -1, "replaced": -1, "aborted": -4, "lost": -4}
 MISSED = -5  # code of a goal that was done and is not reached
 SWITCHES = re.compile(r", (\d+) switch")
-UNREACHED, OUT_OF_REACH = re.compile(r"waypoint (\d+), "), ("out-of-reach", "goal-in-obstacle")
+UNREACHED = re.compile(r"waypoint (\d+), ")  # begin of a refusal that a search has proven
 ROUNDED = 0.07  # [s]: foretold times have one decimal; the planner hears of a stage a moment after its begin
 
 
@@ -208,7 +208,7 @@ class BoundsAreTrue(OfTheArm):
 
         What is refused as out of reach is that.
         """
-        refused = UNREACHED.match(answer["message"]) if answer.get("reason") in OUT_OF_REACH else None
+        refused = UNREACHED.match(answer["message"]) if answer.get("reason") == "out-of-reach" else None
         judged = (request.key == "plan" and answer["accepted"]) or (refused and request.key in ("plan", "goal"))
         if not judged or request.lined or "bias" in (self.exchange.state or {}):
             return
