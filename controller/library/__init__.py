@@ -16,6 +16,7 @@ from hyperbit.controller.library.errors import (
     PathError,
     PictureError,
     StudyError,
+    ThreadError,
 )
 from hyperbit.controller.library.goals import Goal, read_goals
 from hyperbit.controller.library.loading import load
@@ -61,6 +62,7 @@ __all__ = [
     "Sphere",
     "Study",
     "StudyError",
+    "ThreadError",
     "animate",
     "calibrate",
     "design",

@@ -9,6 +9,7 @@ from typing import Any
 
 from matplotlib.animation import FuncAnimation
 
+from hyperbit.controller.library.arguments import typed
 from hyperbit.controller.library.errors import PictureError
 from hyperbit.controller.pictures.animation import FRAME, Film
 
@@ -23,6 +24,7 @@ class Animation(FuncAnimation):
         super().__init__(film.figure, film.draw, frames, interval=FRAME)
         self._film = film
 
+    @typed(PictureError)
     def save(self, filename: str | Path, *args: Any, **kwargs: Any) -> None:
         """Writes the animation; formats other than .gif, .png and .webp, and options, are those of matplotlib.
 
@@ -30,6 +32,8 @@ class Animation(FuncAnimation):
             PictureError: the file cannot be written, or nothing writes its format.
         """
         path = Path(filename)
+        if not path.suffix:
+            raise PictureError(f"filename: a suffix such as .gif is needed, got {path}")
         try:
             if path.suffix.lower() in OWN_FORMATS and not args and not kwargs:
                 self._draw_was_started = True  # else matplotlib warns that nothing was shown

@@ -9,16 +9,16 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from hyperbit.controller.arm import arm as config
 from hyperbit.controller.arm.weights import weights_of
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.settings import ArmSettings
+from hyperbit.controller.library.arguments import Count, Number, Numbers, Seed, told, typed
 from hyperbit.controller.library.chain import Chain
 from hyperbit.controller.library.density import Density, Reach, reach_of
 from hyperbit.controller.library.errors import ArmError, GoalError, LockError
-from hyperbit.controller.library.goals import Number
 from hyperbit.controller.library.modules import Module, build, checked, frame_settings
 from hyperbit.controller.library.obstacles import Obstacle, obstacle_settings
 from hyperbit.controller.library.saving import save_arm
@@ -32,6 +32,7 @@ from hyperbit.controller.workspace.orientations import Orientations, orientation
 Array = NDArray[np.float64]
 
 
+@typed(ArmError)
 class Arm(Chain):
     """An arm made of modules with two-state actuators.
 
@@ -61,8 +62,8 @@ class Arm(Chain):
         *,
         name: str = "arm",
         unit: str | None = None,
-        base: ArrayLike | None = None,
-        tip: ArrayLike | None = None,
+        base: Numbers | None = None,
+        tip: Numbers | None = None,
         tolerance: Number = 2e-3,
         angle_tolerance: Number = 0.05,
         obstacles: Sequence[Obstacle] = (),
@@ -83,10 +84,10 @@ class Arm(Chain):
             "tolerance": {"position": float(tolerance), "orientation": float(angle_tolerance)},
             "obstacles": regions,
             "body_radius": float(body_radius),
-            "self_collision": self_collision,
+            "self_collision": bool(self_collision),
             "workspace": {} if pixel is None else {"pixel": float(pixel)},
         }
-        settings = checked(ArmSettings, msgspec.to_builtins(fields), name)
+        settings = checked(ArmSettings, msgspec.to_builtins(fields), name, {"tolerance.orientation": "angle_tolerance"})
         self._set_arm(build(settings, Path(name)))
 
     @classmethod
@@ -191,12 +192,9 @@ class Arm(Chain):
         Raises:
             GoalError: the radius is not positive.
         """
-        own = self.tolerance if radius is None else float(radius)
-        if not 0 < own < np.inf:
-            raise GoalError(f"radius: a number above 0 is needed, got {radius!r}")
-        return reach_of(self._densities, self._reduced, own)
+        return reach_of(self._densities, self._reduced, self._radius(radius))
 
-    def coverage(self, radius: Number | None = None, *, seed: int = 0) -> Coverage:
+    def coverage(self, radius: Number | None = None, *, seed: Seed = 0) -> Coverage:
         """Returns area or volume within a radius of the tips, and redundancy over it; locked actuators are respected.
 
         Args:
@@ -206,12 +204,9 @@ class Arm(Chain):
         Raises:
             GoalError: the radius is not positive.
         """
-        own = self.tolerance if radius is None else float(radius)
-        if not 0 < own < np.inf:
-            raise GoalError(f"a radius above 0 is needed, got {radius!r}")
-        return coverage_of(self._reduced, self._densities, own, seed=seed)
+        return coverage_of(self._reduced, self._densities, self._radius(radius), seed=seed)
 
-    def orientations(self, point: ArrayLike, radius: Number | None = None, *, seed: int = 0) -> Orientations:
+    def orientations(self, point: Numbers, radius: Number | None = None, *, seed: Seed = 0) -> Orientations:
         """Returns the density of orientations at a point; locked actuators are respected.
 
         Args:
@@ -222,12 +217,12 @@ class Arm(Chain):
         Raises:
             GoalError: the point has a wrong number of coordinates, or the radius is not positive.
         """
-        position, own = np.asarray(point, dtype=float), self.tolerance if radius is None else float(radius)
-        if position.shape != (self.dimension,) or not np.isfinite(position).all() or not 0 < own < np.inf:
-            raise GoalError(f"a point of shape ({self.dimension},) and a radius above 0 are needed")
-        return orientations_at(self._reduced, self._densities, position, own, seed=seed)
+        position = np.asarray(point, dtype=float)
+        if position.shape != (self.dimension,):
+            raise GoalError(f"point: shape ({self.dimension},) is needed, got shape {position.shape}")
+        return orientations_at(self._reduced, self._densities, position, self._radius(radius), seed=seed)
 
-    def locked_reach(self, locks: int = 1, samples: int = 100, *, seed: int = 0) -> LockedReach:
+    def locked_reach(self, locks: Count = 1, samples: Count = 100, *, seed: Seed = 0) -> LockedReach:
         """Returns reach and redundancy with further locked actuators: worst, mean and each choice.
 
         Args:
@@ -242,7 +237,15 @@ class Arm(Chain):
             choices = LockChoices(locks, samples, seed)
             return reach_when_locked(self._reduced, self._densities, self.tolerance, choices)
         except ValueError as error:
-            raise LockError(str(error)) from None
+            raise LockError(f"locks: {error}") from None
+
+    def _radius(self, radius: Number | None) -> float:
+        """Returns a distance from the tip as a float; the arm's tolerance for None."""
+        own = self.tolerance if radius is None else float(radius)
+        if not 1e-9 <= own <= self.length:
+            most = f"the arm's length {self.length:g}"
+            raise GoalError(f"radius: a number from 1e-9 to {most} is needed, got {told(radius)}")
+        return own
 
     @cached_property
     def _densities(self) -> Densities:

@@ -1,17 +1,19 @@
 """Calibration: fits an arm's geometry to measured tips."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import structs
-from numpy.typing import ArrayLike
 
 from hyperbit.controller.armfile.settings import ArmSettings
 from hyperbit.controller.calibration.calibration import Calibration, calibrated
 from hyperbit.controller.calibration.fit import CannotFit
 from hyperbit.controller.calibration.samples import Samples
+from hyperbit.controller.library.arguments import Configurations, Numbers, typed
 from hyperbit.controller.library.arm import Arm
 from hyperbit.controller.library.errors import CalibrationError
 from hyperbit.controller.library.modules import build, checked
@@ -29,8 +31,9 @@ class Fitted(NamedTuple):
     report: Calibration
 
 
+@typed(CalibrationError)
 def calibrate(
-    arm: Arm, configurations: ArrayLike, tips: ArrayLike, *, each: bool = False, fit: Sequence[str] | None = None
+    arm: Arm, configurations: Configurations, tips: Numbers, *, each: bool = False, fit: Sequence[str] | None = None
 ) -> Fitted:
     """Fits modules and base of an arm to measured tips.
 
@@ -46,7 +49,7 @@ def calibrate(
         CalibrationError: there are too few samples, the shapes do not match, or no arm of this kind fits the samples.
         ConfigurationError: the arm has no such configuration.
     """
-    rows = np.array([arm.parse(row) for row in np.atleast_2d(np.asarray(configurations))])
+    rows = np.atleast_2d(arm._rows(configurations))
     measured = np.asarray(tips, dtype=float)
     frames = np.tile(np.eye(4), (len(rows), 1, 1))
     oriented = measured.shape == (len(rows), 4, 4)

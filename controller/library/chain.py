@@ -6,9 +6,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from hyperbit.controller.arm import arm as config
+from hyperbit.controller.library.arguments import Configurations, Numbers, Seed, array_of, typed
 from hyperbit.controller.library.errors import ConfigurationError
 from hyperbit.controller.manipulator.locked import LockedStates, transferred
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
@@ -17,6 +18,7 @@ from hyperbit.controller.manipulator.notation import format_configuration, parse
 Array = NDArray[np.float64]
 
 
+@typed(ConfigurationError)
 class Chain:
     """The modules of an arm: their configurations, and forward kinematics."""
 
@@ -49,7 +51,7 @@ class Chain:
         """First configuration, shape (B,), read-only: state 0 of each module, or its first state that locks allow."""
         return self._to_whole(np.zeros(len(self._reduced.modules), dtype=np.int64))
 
-    def frame(self, configuration: ArrayLike | str) -> Array:
+    def frame(self, configuration: Configurations) -> Array:
         """Returns the tip's frame in the world, shape (4, 4), of a configuration (B,).
 
         Raises:
@@ -57,7 +59,7 @@ class Chain:
         """
         return self._whole.tip(self.parse(configuration))
 
-    def frames(self, configurations: ArrayLike) -> Array:
+    def frames(self, configurations: Configurations) -> Array:
         """Returns the tips' frames in the world, shape (n, 4, 4), of configurations (n, B).
 
         Raises:
@@ -65,7 +67,7 @@ class Chain:
         """
         return self._tips(np.atleast_2d(self._rows(configurations)))
 
-    def module_frames(self, configuration: ArrayLike | str) -> Array:
+    def module_frames(self, configuration: Configurations) -> Array:
         """Returns the frames of all modules in the world, base first and tip last, shape (B+1, 4, 4).
 
         Args:
@@ -76,7 +78,7 @@ class Chain:
         """
         return self._whole.chain(self._rows(configuration))
 
-    def outlines(self, configuration: ArrayLike | str) -> Array:
+    def outlines(self, configuration: Configurations) -> Array:
         """Returns the lines of all modules in the world, from end to end, shape (L, 2, dimension).
 
         Collision checks see these lines, with the arm's `body_radius` around them.
@@ -95,7 +97,7 @@ class Chain:
         counts = [module.body.shape[1] for module in self._whole.modules]
         return np.repeat(np.arange(len(counts)), counts)
 
-    def position(self, configuration: ArrayLike | str) -> Array:
+    def position(self, configuration: Configurations) -> Array:
         """Returns the tip's position in the world, shape (dimension,), of a configuration (B,).
 
         Args:
@@ -106,7 +108,7 @@ class Chain:
         """
         return self._tips(self._rows(configuration))[..., : self.dimension, 3]
 
-    def actuator_states(self, configuration: ArrayLike | str) -> NDArray[np.uint8]:
+    def actuator_states(self, configuration: Configurations) -> NDArray[np.uint8]:
         """Returns the state of each actuator, 0 contracted or 1 extended, shape (A,), of a configuration (B,).
 
         Args:
@@ -117,18 +119,18 @@ class Chain:
         """
         return self._whole.actuator_states(self._rows(configuration))
 
-    def configuration(self, actuator_states: ArrayLike) -> Configuration:
+    def configuration(self, actuator_states: Numbers) -> Configuration:
         """Returns the configuration (B,) of actuator states (A,), 0 contracted or 1 extended.
 
         Raises:
             ConfigurationError: no configuration has these states.
         """
         try:
-            return self._whole.configuration(actuator_states)
+            return self._whole.configuration(np.asarray(actuator_states))
         except ValueError as error:
-            raise ConfigurationError(str(error)) from None
+            raise ConfigurationError(f"actuator_states: {error}") from None
 
-    def parse(self, configuration: ArrayLike | str) -> Configuration:
+    def parse(self, configuration: Configurations) -> Configuration:
         """Returns a configuration (B,), given as an array or in the text form of `hyperbit plan`.
 
         Raises:
@@ -137,14 +139,14 @@ class Chain:
         row = self._rows(configuration)
         if row.ndim != 1:
             count = len(self._whole.states)
-            raise ConfigurationError(f"one configuration of shape ({count},) is needed, got shape {row.shape}")
+            raise ConfigurationError(f"configuration: one of shape ({count},) is needed, got shape {row.shape}")
         return row
 
-    def format(self, configuration: ArrayLike | str) -> str:
+    def format(self, configuration: Configurations) -> str:
         """Returns a configuration (B,) as text: digits, or numbers with commas if a module has more than ten states."""
         return format_configuration(self._whole, self.parse(configuration))
 
-    def switches(self, first: ArrayLike | str, second: ArrayLike | str) -> Any:
+    def switches(self, first: Configurations, second: Configurations) -> Any:
         """Returns the number of actuators that differ between two configurations (B,).
 
         Args:
@@ -160,7 +162,7 @@ class Chain:
         count = (before != after).sum(axis=-1)
         return count if count.ndim else int(count)
 
-    def sample(self, count: int, seed: int = 0) -> NDArray[np.int64]:
+    def sample(self, count: int, seed: Seed = 0) -> NDArray[np.int64]:
         """Returns random configurations with the locked actuator states, shape (count, B); the same for each seed."""
         drawn = np.random.default_rng(seed).integers(0, self._reduced.states, (count, len(self._reduced.modules)))
         return np.array([self._to_whole(row) for row in drawn], dtype=np.int64).reshape(drawn.shape)
@@ -173,7 +175,7 @@ class Chain:
         """Returns the tips' frames (..., 4, 4) of configurations (..., B)."""
         return self._whole.tips(rows.reshape(-1, rows.shape[-1])).reshape(*rows.shape[:-1], 4, 4)
 
-    def _rows(self, given: ArrayLike | str) -> NDArray[np.int64]:
+    def _rows(self, given: Configurations) -> NDArray[np.int64]:
         """Returns one configuration (B,) or many (n, B), each an array or a text.
 
         Raises:
@@ -182,12 +184,14 @@ class Chain:
         try:
             if isinstance(given, str):
                 return parse_configuration(self._whole, given)
-            rows, states = np.asarray(given), self._whole.states
+            rows, states = array_of(given), self._whole.states
             if rows.dtype.kind == "U" and rows.ndim == 1:
                 return np.array([parse_configuration(self._whole, text) for text in rows], dtype=np.int64)
             if rows.ndim not in (1, 2) or rows.shape[-1] != len(states) or not np.issubdtype(rows.dtype, np.integer):
                 forms = f"({len(states)},) or (n, {len(states)})"
-                raise ValueError(f"integers of shape {forms} are needed, got {rows.dtype} of shape {rows.shape}")
+                raise ValueError(
+                    f"configuration: integers of shape {forms} are needed, got {rows.dtype} of shape {rows.shape}"
+                )
             wrong = ((rows < 0) | (rows >= states)).reshape(-1, len(states)).any(axis=1)
             for row in rows.reshape(-1, len(states))[wrong]:
                 parse_configuration(self._whole, ",".join(map(str, row.tolist())))  # names the module
@@ -195,7 +199,7 @@ class Chain:
         except ValueError as error:
             raise ConfigurationError(str(error)) from None
 
-    def _to_reduced(self, configuration: ArrayLike | str) -> Configuration:
+    def _to_reduced(self, configuration: Configurations) -> Configuration:
         """Returns a configuration (B,) in the numbering of the reduced arm. Raises ConfigurationError if none."""
         whole = self.parse(configuration)
         try:

@@ -1,19 +1,25 @@
 """Density and reach of an arm's tip as arrays."""
 
+from __future__ import annotations
+
 import math
 from functools import cached_property
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from hyperbit.controller.library.arguments import Numbers, typed
 from hyperbit.controller.library.errors import GoalError
 from hyperbit.controller.manipulator.frames import inverse
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.workspace.densities import Densities, ball
 
 Array = NDArray[np.float64]
+
+
+MOST_PIXELS = 50_000_000  # of a map
 
 
 class Density:
@@ -49,7 +55,8 @@ class Density:
         """Natural logarithm of the number of all configurations."""
         return float(np.logaddexp.reduce(self.log_counts, axis=None))
 
-    def at(self, points: ArrayLike) -> Array:
+    @typed(GoalError)
+    def at(self, points: Numbers) -> Array:
         """Returns configurations per unit of area or volume at points of the world.
 
         Args:
@@ -110,7 +117,12 @@ def reach_of(densities: Densities, manipulator: Manipulator, radius: float) -> R
     places = (centres @ turned.T + moved) / pixel
     first = places.min(axis=0) - math.ceil(radius / pixel) - 1
     places -= first
-    counts = np.full(np.ceil(places.max(axis=0) + radius / pixel + 2).astype(np.int64)[::-1], -np.inf)
+    shape = np.ceil(places.max(axis=0) + radius / pixel + 2).astype(np.int64)[::-1]
+    if (number := math.prod(shape.tolist())) > MOST_PIXELS:
+        raise GoalError(
+            f"radius: the map would have {number} pixels, up to {MOST_PIXELS} are possible; use a larger pixel"
+        )
+    counts = np.full(shape, -np.inf)
     for part in product((-0.25, 0.25), repeat=size):  # of a pixel, which may be turned
         index = np.round(places + turned @ part).astype(np.int64)
         np.logaddexp.at(counts, tuple(index[:, ::-1].T), level[filled] - size * math.log(2))

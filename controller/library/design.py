@@ -8,10 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from msgspec import to_builtins
+from numpy.typing import NDArray
 
 from hyperbit.controller.armfile.strict import InputFaults, check, fault_list
 from hyperbit.controller.design import report
@@ -24,9 +25,10 @@ from hyperbit.controller.design.settings import StudySettings, faults_of
 from hyperbit.controller.design.study import Impossible, digest_of, opened, read_study
 from hyperbit.controller.design.study import Study as Searched
 from hyperbit.controller.design.template import Value, Values
+from hyperbit.controller.library.arguments import Count, Number, Numbers, Seed, plain, typed
 from hyperbit.controller.library.arm import Arm
 from hyperbit.controller.library.errors import ArmError, GoalError, StudyError
-from hyperbit.controller.library.goals import Goal, Number, with_tolerances
+from hyperbit.controller.library.goals import Goal, GoalLike, Goals, all_with_tolerances
 from hyperbit.controller.library.obstacles import Obstacle, build_obstacles
 from hyperbit.controller.library.plot import require_matplotlib
 from hyperbit.controller.studies.shares import StudyFailed
@@ -36,15 +38,17 @@ if TYPE_CHECKING:
     from distributed import Client
     from matplotlib.figure import Figure
 
-Targets = Sequence[Goal | ArrayLike] | NDArray[Any]
+
+Entries: TypeAlias = "Sequence[GoalLike | Mapping[str, Any]] | NDArray[Any]"
 
 
+@typed(GoalError)
 def merit(
     arm: Arm,
-    targets: Targets,
+    targets: Goals,
     obstacles: Sequence[Obstacle] = (),
     *,
-    weights: ArrayLike | None = None,
+    weights: Numbers | None = None,
     effort: Number = 20.0,
     missed: Number = 200.0,
     stuck: bool = True,
@@ -67,7 +71,7 @@ def merit(
         GoalError: there is no target, one has another dimension than the arm, or a number is not positive.
         ObstacleError: an obstacle is invalid, or has another dimension than the arm.
     """
-    asked = [with_tolerances(goal, arm.dimension, arm.tolerance, arm.angle_tolerance) for goal in targets]
+    asked = all_with_tolerances(targets, arm.dimension, arm.tolerance, arm.angle_tolerance, "targets")
     own = np.ones(len(asked)) if weights is None else np.asarray(weights, dtype=float)
     if not asked or own.shape != (len(asked),) or not (np.isfinite(own) & (own > 0)).all():
         raise GoalError("targets: at least one is needed, and weights are positive numbers, one a target")
@@ -108,6 +112,7 @@ class BuiltArms:
         return judged_arm(arm)
 
 
+@typed(StudyError)
 class Study:
     """Parameters of an arm, and targets for it.
 
@@ -128,17 +133,21 @@ class Study:
         self,
         build: Callable[..., Arm],
         parameters: Mapping[str, Mapping[str, Any]],
-        targets: Sequence[Goal | ArrayLike | Mapping[str, Any]] | NDArray[Any],
+        targets: Entries,
         *,
         name: str = "study",
         **fields: Any,
     ) -> None:
+        try:
+            inspect.signature(build).bind(**dict.fromkeys(parameters))
+        except (TypeError, ValueError) as error:
+            raise StudyError(f"build: a function of {', '.join(parameters)} is needed: {error}") from None
         own = {key: dict(value) for key, value in parameters.items()}
         entries = [dict(target) if isinstance(target, Mapping) else entry(target) for target in targets]
         used = {key: f"${key}" for key in own}
         given = {**fields, "name": name, "parameters": own, "arm": used, "targets": entries}
         faults: list[str] = []
-        settings = check(given, StudySettings, faults)
+        settings = check(to_builtins(given, str_keys=True, enc_hook=plain), StudySettings, faults)
         faults += [] if settings is None else faults_of(settings)
         if settings is None or faults:
             raise StudyError(fault_list(name, faults))
@@ -158,7 +167,7 @@ class Study:
         return f"Study({own.settings.name!r}: {', '.join(own.settings.parameters)}; {len(own.targets)} targets)"
 
 
-def entry(target: Goal | ArrayLike) -> dict[str, Any]:
+def entry(target: GoalLike) -> dict[str, Any]:
     """Returns a goal as an entry of `targets` of a study's file."""
     goal = target if isinstance(target, Goal) else Goal(target)
     fields = {name: getattr(goal, name) for name in ("position", "orientation", "tolerance", "angle_tolerance")}
@@ -213,6 +222,7 @@ class Designs:
         require_matplotlib()
         return report.picture_of(self._study, self.evaluations, self._finalists)
 
+    @typed(StudyError)
     def save(self, folder: str | Path) -> list[Path]:
         """Writes the arm's file of each design of the front, and returns the paths.
 
@@ -227,13 +237,14 @@ class Designs:
             raise ArmError([f"cannot be written: {error.strerror}"], str(folder)) from None
 
 
+@typed(StudyError)
 def design(
     study: Study | str | Path,
-    evaluations: int | None = None,
-    seed: int | None = None,
+    evaluations: Count | None = None,
+    seed: Seed | None = None,
     output: str | Path | None = None,
     *,
-    workers: int = 1,
+    workers: Count = 1,
     client: Client | None = None,
 ) -> Designs:
     """Searches the designs of a study, and judges the best again by long searches.
@@ -255,8 +266,6 @@ def design(
     try:
         own = study._searched if isinstance(study, Study) else read_study(Path(study))
         count = own.settings.evaluations if evaluations is None else int(evaluations)
-        if count < 1 or workers < 1:
-            raise StudyError(f"evaluations and workers: 1 or more are needed, got {count} and {workers}")
         if client is not None:
             check_workers(client)
         chosen = own.settings.seed if seed is None else int(seed)

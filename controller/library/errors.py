@@ -19,7 +19,8 @@ class ArmError(Error):
     """
 
     def __init__(self, faults: Sequence[str], where: str = "", lines: Sequence[int | None] = ()) -> None:
-        """Creates the exception; its message has one line for each fault."""
+        """Creates the exception; its message has one line for each fault. A text is one fault."""
+        faults = [faults] if isinstance(faults, str) else faults
         self.faults, self.lines, self._where = tuple(faults), tuple(lines), where
         super().__init__(fault_list(where, self.faults, self.lines) if where else "\n".join(self.faults))
 
@@ -54,6 +55,10 @@ class StudyError(Error):
 
 class PictureError(Error):
     """A picture cannot be drawn: matplotlib is not installed, or the axes or the file do not suit."""
+
+
+class ThreadError(Error):
+    """A solver is used by two threads at the same time. Use one solver for each thread."""
 
 
 class CalibrationError(Error):

@@ -1,28 +1,30 @@
 """Goals: positions and poses of the tip in the world."""
 
+from __future__ import annotations
+
 import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from hyperbit.controller.armfile.choices import LARGEST, LARGEST_ANGLE, degrees_hint
 from hyperbit.controller.armfile.goal_files import read_goal
 from hyperbit.controller.armfile.strict import UNIT, InputFaults
+from hyperbit.controller.library.arguments import Number, Numbers, typed
 from hyperbit.controller.library.errors import GoalError
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.motion.decoding.goal import parse
 from hyperbit.controller.refusals.refusal import Refusal, nth_waypoint
 
 Array = NDArray[np.float64]
-Number = float | np.floating[Any] | np.integer[Any]
 
 
+@typed(GoalError)
 @dataclass(frozen=True, eq=False)
 class Goal:
     """A position of the tip, optionally with an orientation.
@@ -38,28 +40,28 @@ class Goal:
         GoalError: a number is not finite, a tolerance is not positive, or the shapes do not match.
     """
 
-    position: ArrayLike
-    orientation: Number | Sequence[float] | Array | None = None
+    position: Numbers
+    orientation: Numbers | None = None
     tolerance: Number | None = None
     angle_tolerance: Number | None = None
 
     def __post_init__(self) -> None:
         """Checks the numbers, and keeps read-only copies of arrays."""
-        position = numbers(self.position, "position")
+        position = copied(self.position)
         object.__setattr__(self, "position", position)
         if position.shape not in ((2,), (3,)):
-            raise GoalError(f"a goal's position has shape (2,) or (3,), got {position.shape}")
+            raise GoalError(f"position: shape (2,) or (3,) is needed, got shape {position.shape}")
         if self.orientation is not None:
-            orientation = numbers(self.orientation, "orientation")
+            orientation = copied(self.orientation)
             if orientation.shape != (() if position.shape == (2,) else (4,)):
                 form = "an angle [rad]" if position.shape == (2,) else "a quaternion x, y, z, w of shape (4,)"
-                raise GoalError(f"the orientation of this goal is {form}, got shape {orientation.shape}")
+                raise GoalError(f"orientation: with this position it is {form}, got shape {orientation.shape}")
             object.__setattr__(self, "orientation", float(orientation) if orientation.ndim == 0 else orientation)
             if orientation.ndim == 0 and abs(orientation) > LARGEST_ANGLE:
                 words = f"a number from -{LARGEST_ANGLE} to {LARGEST_ANGLE} is needed, got {float(orientation):g}"
                 raise GoalError(f"orientation: {words}{degrees_hint(float(orientation))}")
             if orientation.shape == (4,) and abs(float(np.linalg.norm(orientation)) - 1.0) > UNIT:
-                raise GoalError(f"a quaternion of length 1 is needed, got {orientation.tolist()}")
+                raise GoalError(f"orientation: a quaternion of length 1 is needed, got {orientation.tolist()}")
         for name, most in (("tolerance", LARGEST), ("angle_tolerance", LARGEST_ANGLE)):
             value = getattr(self, name)
             if value is not None and not 1e-9 <= value <= most:
@@ -79,7 +81,12 @@ class Goal:
         return frames.spatial(position, np.asarray(self.orientation))
 
 
-def read_goals(file: str | PathLike[str]) -> list[Goal]:
+GoalLike: TypeAlias = "Goal | Numbers"
+Goals: TypeAlias = "Sequence[GoalLike] | NDArray[Any]"
+
+
+@typed(GoalError)
+def read_goals(file: str | Path) -> list[Goal]:
     """Returns the goals of a file that `hyperbit send` takes: CSV, JSON or YAML. Its times do not matter here.
 
     Raises:
@@ -98,20 +105,9 @@ def read_goals(file: str | PathLike[str]) -> list[Goal]:
     return goals
 
 
-def numbers(values: ArrayLike, name: str) -> Array:
-    """Returns values as a read-only array of finite floats, which the caller does not share.
-
-    Raises:
-        GoalError: a value is no finite number.
-    """
-    try:
-        result = np.array(values, dtype=float)
-    except (TypeError, ValueError):
-        raise GoalError(f"{name}: numbers are needed, got {values!r}") from None
-    if not np.isfinite(result).all():
-        raise GoalError(f"{name}: finite numbers are needed, got {result.tolist()}")
-    if np.ma.is_masked(values):
-        raise GoalError(f"{name}: numbers are needed, but some are masked")
+def copied(values: Numbers) -> Array:
+    """Returns values as a read-only array of floats, which the caller does not share."""
+    result = np.array(values, dtype=float)
     result.flags.writeable = False
     return result
 
@@ -133,7 +129,7 @@ class ToleratedGoal:
     angle_tolerance: float
 
 
-def with_tolerances(goal: Goal | ArrayLike, dimension: int, tolerance: float, angle_tolerance: float) -> ToleratedGoal:
+def with_tolerances(goal: GoalLike, dimension: int, tolerance: float, angle_tolerance: float) -> ToleratedGoal:
     """Returns a goal, or a bare position, with the arm's tolerances as defaults.
 
     Raises:
@@ -145,3 +141,20 @@ def with_tolerances(goal: Goal | ArrayLike, dimension: int, tolerance: float, an
         raise GoalError(f"a goal of this arm has {dimension} coordinates, got {size}")
     angle = math.inf if own.orientation is None else float(own.angle_tolerance or angle_tolerance)
     return ToleratedGoal(own, own.target, float(own.tolerance or tolerance), angle)
+
+
+def all_with_tolerances(
+    goals: Goals, dimension: int, tolerance: float, angle_tolerance: float, name: str = "goals"
+) -> list[ToleratedGoal]:
+    """Returns goals, see with_tolerances.
+
+    Raises:
+        GoalError: see with_tolerances; the message has the argument's name and the index of the goal.
+    """
+    result = list[ToleratedGoal]()
+    for k, goal in enumerate(goals):
+        try:
+            result.append(with_tolerances(goal, dimension, tolerance, angle_tolerance))
+        except GoalError as error:
+            raise GoalError(f"{name}[{k}]: {error}") from None
+    return result

@@ -7,10 +7,11 @@ from contextlib import nullcontext
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from hyperbit.controller.library.arguments import Count, Number, typed
 from hyperbit.controller.library.errors import StudyError
-from hyperbit.controller.library.goals import Goal, Number
+from hyperbit.controller.library.goals import GoalLike
 from hyperbit.controller.library.solver import Solver, Start, checked_time
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
@@ -44,18 +45,19 @@ class SolverJob(NamedTuple):
         """Returns what solves the goals of a share; the first of them builds the tables."""
         return self._run
 
-    def _run(self, goals: Sequence[Goal | ArrayLike]) -> Iterator[Solution]:
+    def _run(self, goals: Sequence[GoalLike]) -> Iterator[Solution]:
         for goal in goals:
             yield self.solver.solve(goal, self.start, method=self.method, effort=self.effort)
 
 
+@typed(StudyError)
 def map(
     solver: Solver,
-    goals: Iterable[Goal | ArrayLike] | NDArray[Any],
+    goals: Iterable[GoalLike] | NDArray[Any],
     start: Start = None,
     *,
     client: Client | None = None,
-    workers: int = 1,
+    workers: Count = 1,
     effort: Number = EFFORT,
     method: Method = MINIMUM_SWITCH,
 ) -> Iterator[Solution]:
@@ -78,15 +80,13 @@ def map(
         ConfigurationError: the start is no configuration of the arm.
         StudyError: Dask is not installed, or the cluster does not fit or is lost.
     """
-    if workers < 1:
-        raise StudyError(f"workers: 1 or more are needed, got {workers!r}")
     checked_time(method, 1.0, effort)
     job = SolverJob(solver, solver.arm._to_whole(solver._start(start)), method, float(effort))
     return solutions(job, goals, client, workers)
 
 
 def solutions(
-    job: SolverJob, goals: Iterable[Goal | ArrayLike] | NDArray[Any], client: Client | None, workers: int
+    job: SolverJob, goals: Iterable[GoalLike] | NDArray[Any], client: Client | None, workers: int
 ) -> Iterator[Solution]:
     """Yields the solutions of a job; starts workers at the first."""
     left = iter(goals)

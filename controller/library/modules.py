@@ -1,12 +1,14 @@
 """Modules for arms built in code. Each function returns an entry of `modules` of an arm's file."""
 
-from collections.abc import Sequence
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from msgspec import Struct, to_builtins
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
 from hyperbit.controller.arm import arm as config
 from hyperbit.controller.arm.saving import frame_fields
@@ -23,18 +25,23 @@ from hyperbit.controller.armfile.modules import (
 )
 from hyperbit.controller.armfile.settings import ArmSettings
 from hyperbit.controller.armfile.strict import InputFaults, check
+from hyperbit.controller.library.arguments import Count, Number, Numbers, typed
 from hyperbit.controller.library.errors import ArmError
 from hyperbit.controller.manipulator import frames
 
 S = TypeVar("S", bound=Struct)
 
 Module = EntrySettings
+Lengths: TypeAlias = "Sequence[Number] | Mapping[str, Sequence[Number]] | NDArray[Any]"
 
+NO_NAMES: Mapping[str, str] = {}
 RIGID = 1e-6  # greatest difference of R^T R from the identity
 
 
-def checked(kind: type[S], fields: dict[str, Any], where: str) -> S:
+def checked(kind: type[S], fields: dict[str, Any], where: str, names: Mapping[str, str] = NO_NAMES) -> S:
     """Returns a struct of the arm's file with these fields; fields that are None are omitted.
+
+    `names` are those of arguments by the fields that they became.
 
     Raises:
         ArmError: a field is wrong.
@@ -44,11 +51,13 @@ def checked(kind: type[S], fields: dict[str, Any], where: str) -> S:
     given = {name: value for name, value in fields.items() if value is not None}
     result = check({**tag, **given}, kind, faults)
     if result is None:
+        for field, argument in names.items():
+            faults = [fault.replace(field, argument) for fault in faults]
         raise ArmError(faults, where)
     return result
 
 
-def plain(values: ArrayLike) -> Any:
+def plain(values: Numbers) -> Any:
     """Returns an array as nested lists of floats.
 
     Raises:
@@ -60,12 +69,13 @@ def plain(values: ArrayLike) -> Any:
         raise ArmError([f"an array of numbers is needed, got {values!r:.80}"]) from None
 
 
+@typed(ArmError)
 def vgt(
     first_diagonal: Diagonal = "BC",
     *,
-    width: float,
-    lengths: Sequence[float] | dict[str, Sequence[float]],
-    count: int = 1,
+    width: Number,
+    lengths: Lengths,
+    count: Count = 1,
 ) -> VgtSettings:
     """Returns `count` variable geometry truss modules (Ebert-Uphoff and Chirikjian 1996, section 4).
 
@@ -78,18 +88,19 @@ def vgt(
     Raises:
         ArmError: a value is out of its bounds.
     """
-    legs = {name: plain(pair) for name, pair in lengths.items()} if isinstance(lengths, dict) else plain(lengths)
+    legs = {name: plain(pair) for name, pair in lengths.items()} if isinstance(lengths, Mapping) else plain(lengths)
     fields = {"first_diagonal": first_diagonal, "width": plain(width), "lengths": legs, "count": count}
     return checked(VgtSettings, fields, "vgt")
 
 
+@typed(ArmError)
 def revolute(
-    angles: ArrayLike | None = None,
+    angles: Numbers | None = None,
     *,
-    cylinders: ArrayLike | None = None,
-    link: ArrayLike = (0.0, 0.0),
-    axis: ArrayLike = (0.0, 0.0, 1.0),
-    count: int = 1,
+    cylinders: Numbers | None = None,
+    link: Numbers = (0.0, 0.0),
+    axis: Numbers = (0.0, 0.0, 1.0),
+    count: Count = 1,
 ) -> RevoluteSettings:
     """Returns `count` revolute joints with K angles, or with n cylinders in series.
 
@@ -108,13 +119,14 @@ def revolute(
     return checked(RevoluteSettings, fields, "revolute")
 
 
+@typed(ArmError)
 def prismatic(
-    axis: ArrayLike,
-    lengths: ArrayLike | None = None,
+    axis: Numbers,
+    lengths: Numbers | None = None,
     *,
-    cylinders: ArrayLike | None = None,
-    link: ArrayLike = (0.0, 0.0),
-    count: int = 1,
+    cylinders: Numbers | None = None,
+    link: Numbers = (0.0, 0.0),
+    count: Count = 1,
 ) -> PrismaticSettings:
     """Returns `count` prismatic joints with K lengths, or with n cylinders in series.
 
@@ -133,7 +145,8 @@ def prismatic(
     return checked(PrismaticSettings, fields, "prismatic")
 
 
-def platform(base: ArrayLike, top: ArrayLike, lengths: ArrayLike, *, count: int = 1) -> PlatformSettings:
+@typed(ArmError)
+def platform(base: Numbers, top: Numbers, lengths: Numbers, *, count: Count = 1) -> PlatformSettings:
     """Returns `count` platforms on two-state legs: planar with three legs, spatial with three or six.
 
     Args:
@@ -149,7 +162,8 @@ def platform(base: ArrayLike, top: ArrayLike, lengths: ArrayLike, *, count: int 
     return checked(PlatformSettings, fields, "platform")
 
 
-def transforms(states: ArrayLike, *, count: int = 1) -> TransformsSettings:
+@typed(ArmError)
+def transforms(states: Numbers, *, count: Count = 1) -> TransformsSettings:
     """Returns `count` modules with arbitrary frames; binary actuators "1", "2", ... encode the states.
 
     Args:
@@ -162,13 +176,14 @@ def transforms(states: ArrayLike, *, count: int = 1) -> TransformsSettings:
     """
     stack = np.array(plain(states))
     if stack.ndim != 3 or stack.shape[1:] != (4, 4):
-        raise ArmError([f"frames of shape (K, 4, 4) are needed, got shape {stack.shape}"], "transforms")
+        raise ArmError([f"states: frames of shape (K, 4, 4) are needed, got shape {stack.shape}"], "transforms")
     planar = all(in_plane(frame) for frame in stack)
     listed = [rigid_fields(frame, planar=planar) for frame in stack]
     return checked(TransformsSettings, {"states": listed, "count": count}, "transforms")
 
 
-def group(modules: Sequence[Module], count: int) -> GroupSettings:
+@typed(ArmError)
+def group(modules: Sequence[Module], count: Count) -> GroupSettings:
     """Returns `count` repetitions of a list of modules, such as a slide and a joint; calibration shares their numbers.
 
     Args:
@@ -181,7 +196,7 @@ def group(modules: Sequence[Module], count: int) -> GroupSettings:
     return checked(GroupSettings, {"modules": to_builtins(list(modules)), "count": count}, "group")
 
 
-def placement(given: ArrayLike) -> dict[str, Any]:
+def placement(given: Numbers) -> dict[str, Any]:
     """Returns a position (2,) or (3,), or a frame (4, 4), in the form of an arm's file."""
     values = np.array(plain(given))
     if values.shape == (4, 4):
@@ -207,7 +222,7 @@ def in_plane(frame: frames.Frame) -> bool:
     return bool(np.allclose(frame[2], (0.0, 0.0, 1.0, 0.0), atol=1e-12))
 
 
-def frame_settings(frame: ArrayLike, name: str) -> FrameSettings:
+def frame_settings(frame: Numbers, name: str) -> FrameSettings:
     """Returns a position (2,) or (3,), or a frame (4, 4), as the field `name` of an arm's file."""
     return checked(FrameSettings, placement(frame), name)
 

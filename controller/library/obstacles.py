@@ -1,16 +1,17 @@
 """Obstacles: convex regions in the world that no module may touch."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hyperbit.controller.armfile.settings import ObstacleSettings
 from hyperbit.controller.armfile.strict import check
+from hyperbit.controller.library.arguments import Number, Numbers, told, typed
 from hyperbit.controller.library.errors import ObstacleError
-from hyperbit.controller.library.goals import Number
 from hyperbit.controller.obstacles.notation import parse_obstacles
 from hyperbit.controller.obstacles.obstacles import Obstacles
 
@@ -28,17 +29,19 @@ class Obstacle:
                 object.__setattr__(self, name, copy)
 
 
+@typed(ObstacleError)
 @dataclass(frozen=True, eq=False)
 class _Round(Obstacle):
-    centre: ArrayLike
+    centre: Numbers
     radius: Number
     name: str | None = None
 
 
+@typed(ObstacleError)
 @dataclass(frozen=True, eq=False)
 class _Half(Obstacle):
-    point: ArrayLike
-    normal: ArrayLike
+    point: Numbers
+    normal: Numbers
     name: str | None = None
 
 
@@ -62,6 +65,7 @@ class Sphere(_Round):
     """
 
 
+@typed(ObstacleError)
 @dataclass(frozen=True, eq=False)
 class Box(Obstacle):
     """A box, for planar and spatial arms.
@@ -74,10 +78,10 @@ class Box(Obstacle):
         name: name of the obstacle in messages.
     """
 
-    centre: ArrayLike
-    size: ArrayLike
+    centre: Numbers
+    size: Numbers
     angle: Number | None = None
-    orientation: ArrayLike | None = None
+    orientation: Numbers | None = None
     name: str | None = None
 
 
@@ -113,7 +117,7 @@ KINDS: dict[type[Obstacle], str] = {
 def obstacle_settings(obstacle: Obstacle, faults: list[str]) -> ObstacleSettings | None:
     """Returns an obstacle in the form of an arm's file; None after appending its faults to `faults`."""
     if type(obstacle) not in KINDS:
-        faults.append(f"obstacles: one of {', '.join(kind.__name__ for kind in KINDS)} is needed, got {obstacle!r}")
+        faults.append(f"obstacles: one of {', '.join(kind.__name__ for kind in KINDS)} is needed, got {told(obstacle)}")
         return None
     fields: dict[str, Any] = {k: v for k, v in asdict(obstacle).items() if v is not None}
     name = {"name": fields.pop("name")} if "name" in fields else {}

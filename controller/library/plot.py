@@ -10,8 +10,9 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from hyperbit.controller.library.arguments import Configurations, Numbers, typed
 from hyperbit.controller.library.arm import Arm
 from hyperbit.controller.library.errors import ConfigurationError, PictureError
 from hyperbit.controller.library.obstacles import Obstacle, build_obstacles
@@ -29,16 +30,17 @@ if TYPE_CHECKING:  # matplotlib takes half a second to import
 
 MOST_DRAWN = len(plots.COLOURS)  # configurations of a path, or of a list
 
-Motion: TypeAlias = "Path | Solution | ArrayLike | Sequence[object]"  # of configurations and solutions
-Drawn: TypeAlias = "Motion | Mapping[str, Solution | ArrayLike] | None"
+Motion: TypeAlias = "Path | Solution | Configurations | Sequence[object]"  # of configurations and solutions
+Drawn: TypeAlias = "Motion | Mapping[str, Solution | Configurations] | None"
 
 
+@typed(PictureError)
 def plot(
     arm: Arm,
     drawn: Drawn = None,
     *,
     obstacles: Sequence[Obstacle] = (),
-    targets: ArrayLike = (),
+    targets: Numbers = (),
     title: str | None = None,
     unit: str | None = None,
     density: bool = True,
@@ -77,16 +79,17 @@ def plot(
             given = {f"configuration {k + 1}": many[k] for k in spaced(len(many))}
             given = given if rows.ndim == 2 else {"configuration": rows}
     curve = drawn.positions if isinstance(drawn, Path) else ()
-    subplot = plots.Subplot(arm.name if title is None else title, given, targets, curve)
+    subplot = plots.Subplot(arm.name if title is None else title, given, np.asarray(targets), curve)
     return scene(arm, subplot, obstacles, unit, density, ax)
 
 
+@typed(PictureError)
 def animate(
     arm: Arm,
     motion: Motion,
     *,
     obstacles: Sequence[Obstacle] = (),
-    targets: ArrayLike = (),
+    targets: Numbers = (),
     title: str | None = None,
     unit: str | None = None,
     density: bool = True,
@@ -119,7 +122,7 @@ def animate(
     pauses = motion.waypoints.tolist() if isinstance(motion, Path) else [len(rows) - 1]
     curve = motion.positions if isinstance(motion, Path) else ()
     around = arm._whole.body(rows).reshape(-1, 3)
-    subplot = plots.Subplot(arm.name if title is None else title, {}, targets, curve, around)
+    subplot = plots.Subplot(arm.name if title is None else title, {}, np.asarray(targets), curve, around)
     figure = scene(arm, subplot, obstacles, unit, density, ax)
     from hyperbit.controller.library.animation import Animation
 
@@ -134,6 +137,8 @@ def scene(
     require_matplotlib()
     unit, planar = arm.unit if unit is None else unit, arm.dimension == 2
     regions = together([arm._arm.obstacles, build_obstacles(obstacles, arm.dimension)])
+    if (count := np.shape(subplot.targets))[-1:] not in ((0,), (arm.dimension,)) or len(count) > 2:
+        raise PictureError(f"targets: positions of shape (n, {arm.dimension}) are needed, got shape {count}")
     densities = arm._densities if density and planar else None
     if ax is None:
         return plots.figure(arm._whole, densities, [subplot], unit, regions)
@@ -155,14 +160,14 @@ def require_matplotlib() -> None:
         raise PictureError("pictures need matplotlib: pip install 'hyperbit[pictures]'")
 
 
-def rows_of(arm: Arm, drawn: Solution | ArrayLike | Sequence[object]) -> NDArray[np.int64]:
+def rows_of(arm: Arm, drawn: Solution | Configurations | Sequence[object]) -> NDArray[np.int64]:
     """Returns a configuration (B,), or a list of configurations and solutions as an array (n, B)."""
     if isinstance(drawn, list | tuple) and any(isinstance(one, Solution) for one in drawn):
         return np.array([arm.parse(state_of(one)) for one in drawn])
     return arm._rows(state_of(drawn))
 
 
-def state_of(one: Any) -> ArrayLike:
+def state_of(one: Any) -> Configurations:
     """Returns the configuration of a solution, and a configuration as it is."""
     return one.configuration if isinstance(one, Solution) else one
 

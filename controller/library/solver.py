@@ -7,16 +7,17 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, wraps
 from queue import SimpleQueue
+from threading import RLock
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
+from hyperbit.controller.library.arguments import Called, Configurations, Number, Numbers, typed
 from hyperbit.controller.library.arm import Arm
-from hyperbit.controller.library.errors import GoalError, PathError
-from hyperbit.controller.library.goals import Goal, Number, ToleratedGoal, with_tolerances
+from hyperbit.controller.library.errors import GoalError, PathError, ThreadError
+from hyperbit.controller.library.goals import GoalLike, Goals, ToleratedGoal, all_with_tolerances, with_tolerances
 from hyperbit.controller.library.obstacles import Obstacle, build_obstacles
 from hyperbit.controller.library.path import Path
 from hyperbit.controller.manipulator.manipulator import Configuration
@@ -40,13 +41,29 @@ from hyperbit.controller.search.solution import Solution
 
 GOAL_DEADLINE, PATH_DEADLINE = TIMEOUT, WHOLE_TIME
 
-Start: TypeAlias = "ArrayLike | Solution | Path | None"  # a configuration may be text
+Start: TypeAlias = "Configurations | Solution | Path | None"
 
 
+def by_one_thread(method: Called) -> Called:
+    """Refuses a call while another thread is in a method of the same solver."""
+
+    @wraps(method)
+    def call(self: Solver, *args: Any, **kwargs: Any) -> Any:
+        if not self._alone.acquire(blocking=False):
+            raise ThreadError("another thread uses this solver: make a solver for each thread, or call solve_many")
+        try:
+            return method(self, *args, **kwargs)
+        finally:
+            self._alone.release()
+
+    return call  # type: ignore[return-value]
+
+
+@typed(GoalError)
 class Solver:
     """Inverse kinematics of one arm. The tables are built at the first search.
 
-    A solver is not thread-safe: use one for each thread.
+    A solver serves one thread: use one for each thread.
 
     Args:
         arm: the arm; its own obstacles are respected as well.
@@ -58,6 +75,7 @@ class Solver:
     Raises:
         ObstacleError: an obstacle is invalid, or has another dimension than the arm.
         GoalError: the weights are not A positive numbers.
+        ThreadError: a method is called while another thread is in one.
     """
 
     def __init__(
@@ -65,7 +83,7 @@ class Solver:
         arm: Arm,
         *,
         obstacles: Sequence[Obstacle] = (),
-        weights: ArrayLike | None = None,
+        weights: Numbers | None = None,
         list_whole: bool = True,
     ) -> None:
         self.arm, self.list_whole = arm, list_whole
@@ -76,6 +94,7 @@ class Solver:
         if self._weights.shape != arm.weights.shape or not valid.all():
             raise GoalError(f"weights: {len(arm.actuators)} positive numbers are needed, one an actuator")
         self._others = list[search.Solver]()
+        self._alone = RLock()
 
     def __repr__(self) -> str:
         """Returns the arm and the solver's own obstacles."""
@@ -90,11 +109,17 @@ class Solver:
 
     def __getstate__(self) -> dict[str, Any]:
         """Returns what is pickled: all but the tables, which the first search builds again."""
-        return {name: value for name, value in vars(self).items() if name != "_search"} | {"_others": []}
+        return {name: value for name, value in vars(self).items() if name not in ("_search", "_alone")} | {
+            "_others": []
+        }
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _alone=RLock())
+
+    @by_one_thread
     def solve(
         self,
-        goal: Goal | ArrayLike,
+        goal: GoalLike,
         start: Start = None,
         *,
         method: Method = MINIMUM_SWITCH,
@@ -120,11 +145,13 @@ class Solver:
             ConfigurationError: the start is no configuration of the arm.
         """
         allowed = checked_time(method, deadline, effort, missed)
-        return self._solve(self._search, self._with_tolerances(goal), self._start(start), method, allowed)
+        asked = with_tolerances(goal, self.arm.dimension, self.arm.tolerance, self.arm.angle_tolerance)
+        return self._solve(self._search, asked, self._start(start), method, allowed)
 
+    @by_one_thread
     def solve_many(
         self,
-        goals: Sequence[Goal | ArrayLike] | NDArray[Any],
+        goals: Goals,
         start: Start = None,
         *,
         method: Method = MINIMUM_SWITCH,
@@ -150,7 +177,7 @@ class Solver:
             ConfigurationError: the start is no configuration of the arm.
         """
         allowed = checked_time(method, deadline, effort, missed)
-        asked, before = [self._with_tolerances(goal) for goal in goals], self._start(start)
+        asked, before = self._all_with_tolerances(goals), self._start(start)
         idle, count = SimpleQueue[search.Solver](), min(len(os.sched_getaffinity(0)), len(asked))
         for searcher in self._searches(count):
             idle.put(searcher)
@@ -165,9 +192,10 @@ class Solver:
         with ThreadPoolExecutor(max(count, 1)) as pool:
             return list(pool.map(solved, asked))
 
+    @by_one_thread
     def follow(
         self,
-        goals: Sequence[Goal | ArrayLike] | NDArray[Any],
+        goals: Goals,
         start: Start = None,
         *,
         path_tolerance: Number | None = None,
@@ -202,7 +230,7 @@ class Solver:
         check_search(method, deadline=point, path_deadline=whole)
         if not 1 <= len(goals) <= MOST_POINTS:
             raise GoalError(f"1 to {MOST_POINTS} goals are needed, got {len(goals)}")
-        asked = [self._with_tolerances(goal) for goal in goals]
+        asked = self._all_with_tolerances(goals)
         before, pace = self._start(start), pace_of(self.arm._arm.settings)
         line = None if path_tolerance is None else float(path_tolerance)
         try:
@@ -219,7 +247,8 @@ class Solver:
             array.flags.writeable = False
         return Path(own, trajectory.positions, solutions, trajectory.waypoints, found.certificate, found.bound)
 
-    def contact(self, configuration: ArrayLike | str) -> str | None:
+    @by_one_thread
+    def contact(self, configuration: Configurations) -> str | None:
         """Returns the first collision of a configuration (B,), such as "module 7 is in disc 'pillar'", or None.
 
         Raises:
@@ -253,8 +282,8 @@ class Solver:
         found = searcher.solve(target, before, method, timeout=allowed)
         return self._whole(searcher.explained(found, target, before, allowed))
 
-    def _with_tolerances(self, goal: Goal | ArrayLike) -> ToleratedGoal:
-        return with_tolerances(goal, self.arm.dimension, self.arm.tolerance, self.arm.angle_tolerance)
+    def _all_with_tolerances(self, goals: Goals) -> list[ToleratedGoal]:
+        return all_with_tolerances(goals, self.arm.dimension, self.arm.tolerance, self.arm.angle_tolerance)
 
     def _start(self, start: Start) -> Configuration:
         """Returns the start configuration in the numbering of the reduced arm."""

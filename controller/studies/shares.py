@@ -92,8 +92,17 @@ def goals_a_share(effort: float | None) -> int:
 
 
 def pack(job: Job) -> PackedJob:
-    """Returns a job as workers receive it."""
-    content = pickle.dumps(job)
+    """Returns a job as workers receive it.
+
+    Raises:
+        StudyFailed: a part of the job cannot be sent.
+    """
+    try:
+        content = pickle.dumps(job)
+    except (AttributeError, TypeError, pickle.PicklingError) as error:
+        raise StudyFailed(
+            f"the work cannot be sent to workers, name functions and classes at top level: {error}"
+        ) from None
     return PackedJob(content, hashlib.sha256(content).hexdigest(), metadata.version("hyperbit"))
 
 

@@ -35,20 +35,25 @@ WRONG: dict[str, tuple[type[hb.Error], str, Callable[[hb.Arm], object]]] = {
     ),
     "dimension": (hb.GoalError, "2 coordinates, got 3", lambda arm: hb.Solver(arm).solve((1, 2, 3))),
     "goal": (hb.GoalError, "finite", lambda arm: hb.Goal((np.nan, 0))),
-    "goal's text": (hb.GoalError, "numbers are needed", lambda arm: hb.Goal("a")),
+    "goal's text": (hb.GoalError, "position: finite numbers", lambda arm: hb.Goal("a")),
     "tolerance": (hb.GoalError, "tolerance", lambda arm: hb.Goal((0, 0), tolerance=-1)),
     "angle": (hb.GoalError, "quaternion", lambda arm: hb.Goal((0, 0, 0), 0.5)),
     "quaternion": (hb.GoalError, "length 1", lambda arm: hb.Goal((0, 0, 0), (0, 0, 0, 2))),
     "method": (hb.GoalError, "minimum-switch", lambda arm: hb.Solver(arm).solve((0, 0), method="best")),  # type: ignore[arg-type]
     "weights": (hb.GoalError, "12 positive", lambda arm: hb.Solver(arm, weights=[1, 2])),
-    "deadline": (hb.GoalError, "positive number", lambda arm: hb.Solver(arm).solve((0, 0), deadline=np.nan)),
-    "endless weight": (hb.GoalError, "12 positive", lambda arm: hb.Solver(arm, weights=[np.inf] * 12)),
+    "deadline": (
+        hb.GoalError,
+        "deadline: a finite number is needed, got nan",
+        lambda arm: hb.Solver(arm).solve((0, 0), deadline=np.nan),
+    ),
+    "endless weight": (hb.GoalError, "weights: finite", lambda arm: hb.Solver(arm, weights=[np.inf] * 12)),
     "no goals": (hb.GoalError, "1 to", lambda arm: hb.Solver(arm).follow([])),
     "sphere": (hb.ObstacleError, "planar arm", lambda arm: hb.Solver(arm, obstacles=[hb.Sphere((0, 0, 0), 1)])),
     "words": (hb.ArmError, "numbers", lambda arm: hb.revolute(["left", "right"])),
     "no width": (hb.ArmError, "width", lambda arm: hb.vgt("BC", width=None, lengths=(0.2, 0.25))),  # type: ignore[arg-type]
-    "no module": (hb.ArmError, r"modules\[0\]", lambda arm: hb.Arm([7])),  # type: ignore[list-item]
-    "base": (hb.ArmError, "not a finite number", lambda arm: hb.Arm([hb.vgt("BC", **VGT)], base=(np.nan, 0))),
+    "no module": (hb.ArmError, "modules: a list of modules", lambda arm: hb.Arm([7])),  # type: ignore[list-item]
+    "a file": (hb.ArmError, "hb.load reads an arm's file", lambda arm: hb.Arm("arm.yaml")),
+    "base": (hb.ArmError, "base: finite numbers", lambda arm: hb.Arm([hb.vgt("BC", **VGT)], base=(np.nan, 0))),
     "centre": (hb.ObstacleError, "numbers", lambda arm: hb.Solver(arm, obstacles=[hb.Disc("here", 1)])),
     "no obstacle": (hb.ObstacleError, "one of Disc", lambda arm: hb.Solver(arm, obstacles=[(0, 0)])),  # type: ignore[list-item]
     "far": (hb.PathError, "out of reach", lambda arm: hb.Solver(arm).follow([(100, 100)])),

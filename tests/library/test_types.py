@@ -42,7 +42,7 @@ version: str = hb.__version__
 
 def solve(points: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> Iterator[hb.Solution]:
     ik = hb.Solver(locked, weights=np.ones(12))
-    goal = hb.Goal(points[0], orientation=np.float32(0.1), tolerance=np.float64(0.01))
+    goal = hb.Goal((np.float32(0.5), 2.9), orientation=np.float32(0.1), tolerance=np.float64(0.01))
     found: hb.Solution = ik.solve(goal, start=arm.home, method=method, effort=np.int64(20))
     certificate: hb.Certificate = found.certificate
     many: list[hb.Solution] = ik.solve_many([*points, *hb.read_goals("goals.csv")], start=found)
@@ -69,7 +69,7 @@ except hb.ArmError as wrong:
     print(wrong.faults, wrong.lines)
 except (hb.CalibrationError, hb.ConfigurationError, hb.GoalError, hb.LockError, hb.PictureError) as error:
     print(error)
-except (hb.ObstacleError, hb.PathError, hb.StudyError, hb.Error) as error:
+except (hb.ObstacleError, hb.PathError, hb.StudyError, hb.ThreadError, hb.Error) as error:
     print(error)
 """
 
