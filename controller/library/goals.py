@@ -94,8 +94,10 @@ def read_goals(file: str | Path) -> list[Goal]:
     """
     try:
         message = parse(json.dumps(read_goal(Path(file))).encode())
-    except (InputFaults, Refusal) as error:
+    except InputFaults as error:
         raise GoalError(str(error)) from None
+    except Refusal as error:
+        raise GoalError(f"{file}: {error}") from None
     goals, tolerance = list[Goal](), message.tolerance
     for k, waypoint in enumerate(message.waypoints):
         if waypoint.position is None:
