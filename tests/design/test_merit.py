@@ -87,7 +87,7 @@ def test_work_for_a_miss_is_bounded():
         ([(0.1, 0.2, 0.3)], {}, "2 coordinates, got 3"),
         ([(0.1, 0.2)], {"weights": [0.0]}, "positive numbers"),
         ([(0.1, 0.2)], {"effort": -1}, "effort: a positive number"),
-        ([(0.1, 0.2)], {"missed": float("inf")}, "missed: a positive number"),
+        ([(0.1, 0.2)], {"missed": float("inf")}, "missed: a finite number"),
     ],
 )
 def test_wrong_targets_are_refused(targets, options, fault):

@@ -118,7 +118,7 @@ def test_batches_have_the_rows_of_each(mixed: hb.Arm) -> None:
     assert mixed.switches(rows, rows).tolist() == [0] * 6
     with pytest.raises(hb.ConfigurationError, match="6 configurations are needed, got 5"):
         mixed.switches(rows, rows[1:])
-    with pytest.raises(hb.ConfigurationError, match="one configuration"):
+    with pytest.raises(hb.ConfigurationError, match="configuration: one of shape"):
         mixed.format(rows)
 
 

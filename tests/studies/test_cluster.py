@@ -155,7 +155,7 @@ def test_an_error_of_a_goal_ends_the_study_and_leaves_the_workers_sound(client, 
 
 
 def test_wrong_arguments_of_map_are_refused_at_once(ik):
-    with pytest.raises(hb.StudyError, match="workers: 1 or more"):
+    with pytest.raises(hb.StudyError, match="workers: a whole number from 1"):
         hb.map(ik, [], workers=0)
     with pytest.raises(hb.GoalError, match="effort: a positive number"):
         hb.map(ik, [], effort=0)
