@@ -138,19 +138,20 @@ class Study:
         name: str = "study",
         **fields: Any,
     ) -> None:
+        own = {key: dict(value) for key, value in parameters.items()}
+        entries = [dict(target) if isinstance(target, Mapping) else entry(target) for target in targets]
+        used = {key: f"${key}" for key in own}
+        asked = {**fields, "name": name, "parameters": own, "arm": used, "targets": entries}
+        given = to_builtins(asked, str_keys=True, enc_hook=plain)
+        faults: list[str] = []
+        settings = check(given, StudySettings, faults)
+        faults += [] if settings is None else faults_of(settings)
+        if settings is None or faults:
+            raise StudyError(fault_list(name, faults))
         try:
             inspect.signature(build).bind(**dict.fromkeys(parameters))
         except (TypeError, ValueError) as error:
             raise StudyError(f"build: a function of {', '.join(parameters)} is needed: {error}") from None
-        own = {key: dict(value) for key, value in parameters.items()}
-        entries = [dict(target) if isinstance(target, Mapping) else entry(target) for target in targets]
-        used = {key: f"${key}" for key in own}
-        given = {**fields, "name": name, "parameters": own, "arm": used, "targets": entries}
-        faults: list[str] = []
-        settings = check(to_builtins(given, str_keys=True, enc_hook=plain), StudySettings, faults)
-        faults += [] if settings is None else faults_of(settings)
-        if settings is None or faults:
-            raise StudyError(fault_list(name, faults))
         try:
             source = inspect.getsource(build)
         except (OSError, TypeError):  # of a session without files, or no plain function

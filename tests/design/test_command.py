@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 import yaml
 
@@ -107,7 +108,9 @@ def test_a_wrong_study_is_refused(parameters, targets, fields, fault):
 def test_wrong_calls_are_refused(written, tmp_path):
     with pytest.raises(hb.StudyError, match="build: an Arm is needed, got 3"):
         hb.Study(lambda width: 3, {"width": {"between": [1, 2]}}, [(0, 1)])  # type: ignore[arg-type, return-value]
-    with pytest.raises(hb.StudyError, match="evaluations and workers"):
+    with pytest.raises(hb.StudyError, match="build: a function of width is needed"):
+        hb.Study(lambda height: 3, {"width": {"between": [1, 2]}}, [(0, 1)], seed=np.int64(1))  # type: ignore[arg-type]
+    with pytest.raises(hb.StudyError, match="evaluations: a whole number from 1"):
         hb.design(written(), 0)
     with pytest.raises(hb.StudyError, match="no such file"):
         hb.design(tmp_path / "none.yaml")
