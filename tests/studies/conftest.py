@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ ARM = str(Path(__file__).parents[2] / "deploy" / "planar16.yaml")
 @pytest.fixture(scope="session")
 def two() -> Iterator[Client]:
     with local_workers(2) as client:
+        for handler in logging.getLogger("distributed").handlers:  # Dask has silenced pytest's own
+            handler.setLevel(logging.NOTSET)
         yield client
 
 
