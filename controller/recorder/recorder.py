@@ -13,7 +13,7 @@ import msgspec
 
 from hyperbit.controller.armfile.units import METRES_TAKEN
 from hyperbit.controller.decoding.decoding import OTHER_FORM, Unreadable, decode
-from hyperbit.controller.network.faults import ActiveFaults
+from hyperbit.controller.network.fault_changes import ActiveFaults
 from hyperbit.controller.network.listener import Listener, ReceivedMessage
 from hyperbit.controller.network.messages import read
 from hyperbit.controller.pictures.scene import FoxgloveScene

@@ -11,7 +11,7 @@ from hyperbit.controller.armfile.units import METRES_TAKEN, metres_of
 from hyperbit.controller.decoding.decoding import convert
 from hyperbit.controller.manipulator.described import described, in_metres
 from hyperbit.controller.network.client import Client
-from hyperbit.controller.network.faults import ActiveFaults
+from hyperbit.controller.network.fault_changes import ActiveFaults
 from hyperbit.controller.pictures.scene import FoxgloveScene
 from hyperbit.controller.ros2 import messages
 from hyperbit.controller.ros2.answers import GoalResult, SetpointCounts

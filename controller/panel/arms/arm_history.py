@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from hyperbit.controller.network.faults import ActiveFaults
+from hyperbit.controller.network.fault_changes import ActiveFaults
 
 Message = dict[str, Any]
 
