@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import hyperbit as hb
 
 PACKAGE = Path(__file__).parents[2] / ".package"
@@ -74,6 +76,7 @@ except (hb.ObstacleError, hb.PathError, hb.StudyError, hb.ThreadError, hb.Error)
 """
 
 
+@pytest.mark.timeout(600)  # mypy reads all of numpy and matplotlib in a fresh clone
 def test_each_public_name_has_its_type(tmp_path):
     assert set(re.findall(r"\bhb\.(\w+)", PROGRAM)) == {*hb.__all__, "__version__"}
     (tmp_path / "program.py").write_text(PROGRAM)
