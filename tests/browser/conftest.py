@@ -170,6 +170,7 @@ def page(driver: Any, world: World) -> Iterator[Callable[..., Shown]]:
 
     yield visit
     wrong = [entry["message"] for entry in driver.get_log("browser") if entry["level"] == "SEVERE"]
+    driver.get("about:blank")  # no page outlives its server
     assert wrong == []
 
 

@@ -253,6 +253,7 @@ class StagesBeginInTime(Statement):
     def __init__(self, account: Account) -> None:
         super().__init__(account)
         self._since: dict[str, float] = {}
+        self._begin = 0.0  # earliest zero of the program's times: what is homed before its first stage delays them all
 
     def steps(self) -> None:
         account, motion = self.account, self.account.running
@@ -268,13 +269,15 @@ class StagesBeginInTime(Statement):
             quiet = max(account.pins.due(k) + arm.margin[k] for k in range(arm.count)) + arm.rest
             rests = shown is not None and not shown.moving and not unpack(shown.unread)
             rests = rests and account.now > max(quiet, shown.free_at + arm.rest)
+        if not rests and (motion is None or motion.taken < 0):
+            self._begin = account.now
         due, settles, ends = self._open(motion) if rests and motion is not None else (False, False, False)
         self._wait("its next stage does not begin", due, PROMPT)
         self._wait("its mark does not settle", settles, PROMPT)
         self._wait("it does not end", ends, UNFED + PROMPT)
 
     def _open(self, motion: Motion) -> tuple[bool, bool, bool]:
-        passed, following = self.account.now - motion.begin, motion.taken + 1
+        passed, following = self.account.now - max(motion.begin, self._begin), motion.taken + 1
         settles = motion.unsettled and passed >= motion.stages[motion.taken].settled
         if following < len(motion.stages):
             at = motion.stages[following].at
