@@ -68,6 +68,7 @@ class Exchange(Witness):
     def __init__(self, account: Account, daemon: Daemon) -> None:
         self.account, self._daemon = account, daemon
         self._awake = self._since = self.told_at = 0.0
+        self.fresh_at = -math.inf  # also of a planner whose last messages the executor has not taken
         self.process = self.instance = self._executors = self.numbers = self.stream_began = 0
         self.sent: dict[ClientId, deque[Down]] = {}
         self.requests: list[Request] = []
@@ -98,7 +99,6 @@ class Exchange(Witness):
         self.requests = [request for request in self.requests if request.answer is not None]
         self.heard = deque([Heard(self.awake, None)], maxlen=1_000)
         self.taken = self.malformed = 0
-        self.fresh_at = -math.inf
         self.confirmed, self._confirmed_by, self.changed_at = frozenset[Disc](), 0, self.account.now
         if process:
             self.account.see("planner_begins")
