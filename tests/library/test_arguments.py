@@ -94,6 +94,7 @@ def calls(arm: hb.Arm, folder: Path) -> dict[Callable[..., Any], dict[str, Any]]
     study = hb.Study(
         lambda width: hb.Arm([hb.vgt(width=width, lengths=(0.2, 0.25))]), {"width": {"between": [0.1, 0.2]}}, [(0, 0.2)]
     )
+    picture = {"obstacles": (), "targets": (), "title": None, "unit": None, "density": False, "ax": None}
     animation = hb.animate(arm, [home, "0001"], density=False)
     return {
         hb.load: {"path": DEPLOY / "planar16.yaml"},
@@ -169,26 +170,8 @@ def calls(arm: hb.Arm, folder: Path) -> dict[Callable[..., Any], dict[str, Any]]
             "effort": 1,
             "method": "minimum-switch",
         },
-        hb.plot: {
-            "arm": arm,
-            "drawn": home,
-            "obstacles": (),
-            "targets": (),
-            "title": None,
-            "unit": None,
-            "density": False,
-            "ax": None,
-        },
-        hb.animate: {
-            "arm": arm,
-            "motion": home,
-            "obstacles": (),
-            "targets": (),
-            "title": None,
-            "unit": None,
-            "density": False,
-            "ax": None,
-        },
+        hb.plot: {"arm": arm, "drawn": home, **picture},
+        hb.animate: {"arm": arm, "motion": home, **picture},
         animation.save: {"filename": folder / "arm.gif"},
         hb.calibrate: {
             "arm": arm,

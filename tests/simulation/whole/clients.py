@@ -306,10 +306,9 @@ class Clients:
             if self._agenda.now > self._streams_until or self.calm > calm:
                 return
             share = min((self._agenda.now - began) / duration, 1.0)
-            position = (first + share * (last - first)).tolist()
             stamp = self._daemon.wall() - random.choice([0.0, 0.0, 0.3]) if random.random() < 0.5 else 0.0
             tolerance = {"position": random.choice([0.01, 0.3])}
-            payload = {"position": position, "stamp": stamp, "tolerance": tolerance}
+            payload = {"position": (first + share * (last - first)).tolist(), "stamp": stamp, "tolerance": tolerance}
             data = json.dumps(payload).encode() if random.random() > 0.01 else b"{}"
             self._daemon.zenoh.send(client, f"{self._prefix}/setpoint", data, b"c%d" % client, query=False)
             self._agenda.after(period, step)
