@@ -158,6 +158,8 @@ def driver() -> Iterator[Any]:
 @pytest.fixture
 def page(driver: Any, world: World) -> Iterator[Callable[..., Shown]]:
     """Opens a page of an arm, ready; at the end the browser must have found nothing wrong with it."""
+    driver.get("about:blank")
+    driver.get_log("browser")  # what another test's page said, whose server has ended, is not of this one
     shown = Shown(driver, world.url)
 
     def visit(
