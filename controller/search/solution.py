@@ -148,10 +148,12 @@ class Solution:
     def reach(self) -> str:
         """Describes a goal that is missed: "is out of reach" if that is proven, else "seems out of reach".
 
-        Also says in which obstacle the goal is, or what collides where the arm would reach it.
+        Also says in which obstacle the goal is, or what collides where the arm would reach it. The tolerance may reach
+        out of the obstacle: then it says that no clear tip was found.
         """
         if self.obstacle is not None:
-            return f"is in {self.obstacle}"
+            proven = self.certificate == "unreachable"
+            return f"is in {self.obstacle}" + ("" if proven else ", and no clear tip within the tolerance was found")
         missed = "is out of reach" if self.certificate == "unreachable" else "seems out of reach"
         return missed + ("" if self.collision is None else f" without a collision, such as: {self.collision}")
 

@@ -77,6 +77,15 @@ def test_configurations_avoid_obstacles(arm: hb.Arm) -> None:
     assert ik.contact(arm.home) == "module 4 is in disc 'pillar'"
 
 
+def test_a_goal_in_an_obstacle_is_out_of_reach_only_with_a_proof() -> None:
+    arm = hb.Arm([hb.vgt("BC", width=0.2, lengths=(0.2, 0.25), count=16)], tolerance=0.002)
+    goal, reasons = arm.position(arm.home), list[str]()
+    for depth in (0.05, 1e-4):  # from the edge; the tolerance is between
+        ik = hb.Solver(arm, obstacles=[hb.Disc(goal + np.array((0.05 - depth, 0)), 0.05, "pillar")])
+        reasons.append(ik.solve(goal, effort=1).reach)
+    assert reasons == ["is in disc 'pillar'", "is in disc 'pillar', and no clear tip within the tolerance was found"]
+
+
 def test_weights_change_the_cheapest_configuration(arm: hb.Arm) -> None:
     weights = np.where([label.startswith("1.") for label in arm.actuators], 50.0, 1.0)
     solution = hb.Solver(arm, weights=weights).solve(arm.position([0, 3, 3, 3]), deadline=DEADLINE)
