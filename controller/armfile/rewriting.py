@@ -1,11 +1,13 @@
-"""New numbers in the text of a YAML file: comments, order and layout stay."""
+"""New numbers in the text of a YAML file: comments, order, layout and units stay."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Set
 from typing import Any, NamedTuple
 
+from hyperbit.controller.armfile.choices import NUMBER
 from hyperbit.controller.armfile.documents import build_loader
+from hyperbit.controller.armfile.units import factors
 
 Key = str | int
 Place = tuple[Key, ...]  # keys and indices from the top of the file
@@ -25,19 +27,35 @@ def rewritten(text: str, fields: Mapping[str, Any], places: Set[Place]) -> str:
 
     Args:
         text: of the file, which is valid, with a mapping at its top.
-        fields: new values of fields at the top.
+        fields: new values of fields at the top, in the file's unit and radians.
         places: of the new numbers in `fields`; all other values stay as they are in the text.
     """
     import yaml
 
     touched = {place[:k] for place in places for k in range(len(place) + 1)}
-    edits = changes(text, yaml.compose(text, build_loader()), dict(fields), (), touched)
+    top: Any = yaml.compose(text, build_loader())
+    unit = next((node.value for key, node in top.value if key.value == "unit"), None)
+    known = {name: factor for table in factors(unit).values() for name, factor in table.items()}
+    edits = changes(text, top, in_units(top, dict(fields), known), (), touched)
     for edit in sorted(edits, reverse=True):
         text = text[: edit.start] + edit.text + text[edit.end :]
     return text
 
 
 # A node is one of PyYAML's, whose types have no attributes of the three kinds.
+def in_units(node: Any, value: Any, known: Mapping[str, float]) -> Any:
+    """Returns a value with the units that the texts of its numbers have in a node, such as "30.02 deg"."""
+    if node.id == "mapping" and isinstance(value, dict):
+        children = {key.value: child for key, child in node.value}
+        return {key: in_units(children[key], part, known) if key in children else part for key, part in value.items()}
+    if node.id == "sequence" and isinstance(value, list) and len(value) == len(node.value):
+        return [in_units(child, part, known) for child, part in zip(node.value, value, strict=True)]
+    match = NUMBER.fullmatch(node.value.strip()) if node.id == "scalar" else None
+    if match is None or match[2] not in known or not isinstance(value, float | int):
+        return value
+    return f"{value / known[match[2]]:.15g} {match[2]}"
+
+
 def changes(text: str, node: Any, value: Any, place: Place, touched: Set[Place]) -> list[Edit]:
     """Returns the edits that bring the touched parts of a value into its node."""
     if node.id == "mapping" and isinstance(value, dict):
@@ -60,12 +78,10 @@ def changes(text: str, node: Any, value: Any, place: Place, touched: Set[Place])
 
 def same(node: Any, value: Any) -> bool:
     """Returns whether the text of a node has a number already."""
-    if node.id != "scalar" or not isinstance(value, float | int):
+    if node.id != "scalar" or not isinstance(value, float | int | str):
         return False
-    try:
-        return float(node.value) == float(value)
-    except ValueError:
-        return False
+    old, new = NUMBER.fullmatch(node.value.strip()), NUMBER.fullmatch(str(value))
+    return old is not None and new is not None and (float(old[1]), old[2]) == (float(new[1]), new[2])
 
 
 def whole(text: str, node: Any, value: Any) -> Edit:

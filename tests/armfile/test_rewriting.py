@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
@@ -47,6 +49,14 @@ def test_a_new_field_and_a_list_of_another_length_keep_the_rest():
         "tolerance: {position: 0.002}",
     ):
         assert kept in text
+
+
+def test_numbers_keep_their_units():
+    text = "unit: mm\nmodules:\n- {type: revolute, angles: [-30 deg, 0.3, 0 °], link: {position: [2 cm, 3.5]}}\n"
+    new = {"type": "revolute", "angles": [-math.pi / 6, 0.31, math.pi / 180], "link": {"position": [20.1, 3.5]}}
+    places = {("modules", 0, "angles", k) for k in (0, 1, 2)} | {("modules", 0, "link", "position", 0)}
+    changed = text.replace("0.3,", "0.31,").replace("0 °", "1 °").replace("2 cm", "2.01 cm")
+    assert rewritten(text, {"modules": [new]}, places) == changed
 
 
 numbers = st.floats(-1e6, 1e6, allow_subnormal=False)
