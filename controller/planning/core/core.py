@@ -13,9 +13,10 @@ from hyperbit.controller.host.process import Log, Quit
 from hyperbit.controller.motion.tracking.tracking import tracking_of
 from hyperbit.controller.planning.core import events
 from hyperbit.controller.planning.core.arm import ExecutorView
+from hyperbit.controller.planning.core.goal import Goal
 from hyperbit.controller.planning.core.goals import Goals
 from hyperbit.controller.planning.core.obstacles import ObstacleOwner
-from hyperbit.controller.planning.core.parts import Parts
+from hyperbit.controller.planning.core.parts import Parts, Pending
 from hyperbit.controller.planning.core.premises import Locks, Premises, TipBiasEstimator
 from hyperbit.controller.planning.core.programs import Programs
 from hyperbit.controller.planning.core.requests import ExecutorRequests, Queries
@@ -89,7 +90,7 @@ class Core:
         self._obstacles.answer(self._programs.unchecked())
         self._keep_alive()
         if self._quit_at is not None and not self.ended:
-            over = self._programs.idle and self._results.idle and not self._goals.all
+            over = self._results.idle and not self._parts.requests.of(Goal)
             if over or now >= self._quit_at:
                 self._obstacles.answer([], at_once=True)
                 self._status.publish_state()
@@ -108,7 +109,7 @@ class Core:
     def check(self) -> None:
         """Asserts what holds between two steps; for the simulation, not for the robot."""
         assert not self._actions, "an action waits for the next step"
-        self._parts.check([*self._goals.awaited(), *self._programs.awaited(), *self._queries.awaited()])
+        self._parts.check([*self._programs.checks(), self._goals.preparing])
         self._goals.check()
         self._programs.check()
         self._results.check()
@@ -176,7 +177,11 @@ class Core:
                     self._requests.receive_request(request)
         except Exception:
             self._act(Log(logging.ERROR, f"a request on {request.key} failed\n{traceback.format_exc()}"))
-            self._act(events.Reply(request.number, events.refused(Refusal(Reason.INTERNAL_ERROR))))
+            answer = events.refused(Refusal(Reason.INTERNAL_ERROR))
+            if (pending := self._parts.requests.find(Pending, request.number)) is not None:
+                self._parts.requests.end(pending, answer)
+            else:
+                self._act(events.Reply(request.number, answer))
 
     def _live(self) -> events.Payload:
         state, goal = self._view.state, self._programs.current

@@ -19,8 +19,8 @@ from hyperbit.controller.motion.stages.program import delay_of, in_groups
 from hyperbit.controller.motion.targets import GoalTarget, measured_pose
 from hyperbit.controller.motion.trajectory import Trajectory
 from hyperbit.controller.planning.core.arm import ArmState, Measured, States, packed
-from hyperbit.controller.planning.core.events import Payload, done
-from hyperbit.controller.planning.core.parts import Parts, Ticket
+from hyperbit.controller.planning.core.events import Payload, PublishResult, done
+from hyperbit.controller.planning.core.parts import Parts, Pending, Ticket
 from hyperbit.controller.planning.core.tasks import Basis, Planned
 from hyperbit.controller.program import Ended, Program, Settled
 from hyperbit.controller.refusals.reasons import Reason
@@ -148,18 +148,19 @@ class GoalReport:
 
 
 @dataclass(eq=False)
-class Goal:
-    """A goal or jog. It belongs to `Goals` until the executor has accepted it, then to `Programs`."""
+class Goal(Pending):
+    """A goal or jog.
 
-    request: int
+    `Goals` advances it until the executor accepts it, `Programs` from its offer to its end. It is over when it has a
+    result and the ledger has its acceptance.
+    """
+
     ticket: Ticket
     wanted: GoalMessage | Jog
     id: str
     received: float  # time of arrival [UNIX s]
     begin_by: float  # time by which the executor must accept it [s]
-    since: float  # when the present wait began [s]
-    state: Literal["waiting", "offered", "running"] = "waiting"
-    job: int | None = None  # number of the task that plans, checks or improves it
+    state: Literal["waiting", "offered", "running", "ended"] = "waiting"
 
     # --- while it waits
     basis: Basis | None = None  # premises of the plan
@@ -180,10 +181,11 @@ class Goal:
     begin: float = 0.0  # the program's zero of time [s]
     stage_began: float = 0.0  # when its latest stage began [s]
     unrecorded: int | None = None  # entry of the acceptance that the ledger does not have yet
+    publication: PublishResult | None = None  # of its result, which waits until the ledger has the acceptance
     outcome: GoalOutcome | None = None  # the planner's reason to end it; the executor's result follows
     deviates: bool = False  # whether the deviations of its points are still awaited
     held: deque[Settled | Ended] = field(default_factory=deque)  # reports that wait for the deviations, in order
-    checking: int | None = None  # number of the task that checks its next stages
+    checking: int | None = None  # number of the task that checks its next stages; `job` improves its plan
     switches: int = 0  # as last reported by the executor
 
     @property

@@ -3,7 +3,6 @@
 import logging
 import math
 import traceback
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 
@@ -14,7 +13,7 @@ from hyperbit.controller.host.process import Log
 from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
 from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.arm import obstruction, packed
-from hyperbit.controller.planning.core.events import Reply, Request, refused
+from hyperbit.controller.planning.core.events import Request, refused
 from hyperbit.controller.planning.core.goal import Goal, jog_stages, make_program, unsure_of
 from hyperbit.controller.planning.core.parts import Parts
 from hyperbit.controller.planning.core.premises import Premises
@@ -43,67 +42,61 @@ class Goals:
     def __init__(self, parts: Parts, premises: Premises, programs: Programs, prepares: bool) -> None:
         self.quitting = False
         self._parts, self._view, self._moment, self._jobs = parts, parts.view, parts.moment, parts.jobs
+        self._requests = parts.requests
         self._premises, self._locks, self._programs = premises, premises.locks, programs
         self._preparation = Preparation(parts, premises, programs, prepares)
-        self._waiting = deque[Goal]()
-        self._current: Goal | None = None
         self.due = math.inf  # when `advance` must be called again, without another event [s]
         self._second, self._lines = 0, 0
 
     @property
     def all(self) -> list[Goal]:
-        """All waiting requests; the one being planned or offered comes first."""
-        return [*filter(None, [self._current]), *self._waiting]
+        """The requests that the executor has not accepted; the first one is being planned, or offered."""
+        return [goal for goal in self._requests.of(Goal) if goal.state in ("waiting", "offered")]
 
-    def awaited(self) -> list[int | None]:
-        return [*(goal.job for goal in self.all), self._preparation.task]
+    @property
+    def preparing(self) -> int | None:
+        return self._preparation.task
 
     def check(self) -> None:
         """Asserts that each request waits for something that will come in time; see `Core.check`."""
-        assert len(self._waiting) <= MOST_WAITING, f"{len(self._waiting)} requests wait"
-        assert self._current is not None or not self._waiting, "requests wait, and none is advanced"
-        for goal in self.all:
-            is_first = goal is self._current
+        waiting = self.all
+        assert len(waiting) <= MOST_WAITING + 1, f"{len(waiting)} requests wait"
+        for goal in waiting:
+            is_first = goal is waiting[0]
             assert goal.state == "waiting" or (is_first and goal.state == "offered"), f"{goal.id} is {goal.state}"
             assert is_first or goal.job is None, f"{goal.id} is planned, and is not the first"
             if goal.state == "waiting":
                 assert self._moment.now < goal.begin_by, f"{goal.id} waits too long"
                 assert self.due <= goal.begin_by, f"nothing wakes {goal.id}"
                 assert not self._parts.admission.barred(goal.ticket, goal.id), f"{goal.id} is barred, and waits"
-        first, offered = self._current, self._offered() is not None
-        assert self._programs.offered == offered, "an offer that nobody awaits"
-        if first is not None and not offered and first.ticket.epoch is not None:
-            waits = first.job is not None or first.waits is not None
-            assert waits or self._premises.basis() is None, f"{first.id} waits for nothing"
+        for first in waiting[:1]:
+            if first.state == "waiting" and first.ticket.epoch is not None:
+                waits = first.job is not None or first.waits is not None
+                assert waits or self._premises.basis() is None, f"{first.id} waits for nothing"
 
     def queue(self, request: Request) -> None:
         wanted, name = request.message, f"{self._parts.name}{request.number:x}"
         assert isinstance(wanted, GoalMessage | Jog)
         name = f"jog-{name}" if isinstance(wanted, Jog) else wanted.id or name
         begin_by, ticket = request.arrival.at + wanted.patience, self._parts.admission.arrive(request.number)
-        goal = Goal(request.number, ticket, wanted, name, request.wall, begin_by, self._moment.now)
-        if len(self._waiting) >= MOST_WAITING:
-            self._refuse(goal, Refusal(Reason.BUSY, most=MOST_WAITING, what="goals"))
-        else:
-            self._waiting.append(goal)
-            if self._current is not None:
-                self._jobs.hurry(self._current.job)
-            self._preparation.end()
-            self._programs.pause_improvement()
+        goal, before = Goal(request.number, self._moment.now, ticket, wanted, name, request.wall, begin_by), self.all
+        self._requests.add(goal)
+        if len(before) > MOST_WAITING:
+            self._end(goal, Refusal(Reason.BUSY, most=MOST_WAITING, what="goals"))
+            return
+        for first in before[:1]:
+            self._jobs.hurry(first.job)
+        self._preparation.end()
+        self._programs.pause_improvement()
 
     def advance(self) -> None:
         """Advances the first request as far as possible. Call at the end of each step."""
         self.due = math.inf
         self.refuse_late()
-        while True:
-            if self._current is None:
-                if not self._waiting:
-                    self.due = self._preparation.advance()
-                    return
-                self._current = self._waiting.popleft()
-                self._current.since = self._moment.now
-            if self._attempt(self._current, self._proceed):
+        while waiting := self.all:
+            if self._attempt(waiting[0], self._proceed):
                 return
+        self.due = self._preparation.advance()
 
     def refuse_late(self) -> None:
         """Refuses the requests that may no longer begin. A request that the executor has is exempt."""
@@ -124,24 +117,17 @@ class Goals:
 
     # --- the executor
 
-    def _offered(self, number: int | None = None) -> Goal | None:
-        """Returns the request whose program waits for the executor's answer, if `number` matches."""
-        goal = self._current
-        if goal is None or goal.state != "offered" or number not in (None, goal.program.program):
-            return None
-        return goal
-
     def accepted(self, message: Accepted) -> None:
-        if (goal := self._offered(message.program)) is not None:
+        if (goal := self._programs.offered) is not None and goal.program.program == message.program:
             self._parts.admission.end_streams(goal.ticket)
-            self._drop(goal)
+            self._preparation.begin(goal.wanted)
         self._programs.accepted(message)
 
     def declined(self, message: Declined) -> None:
-        self._programs.withdraw(message.program)
-        if (goal := self._offered(message.program)) is None:
+        goal = self._programs.offered
+        if goal is None or goal.program.program != message.program:
             return
-        goal.state = "waiting"
+        self._programs.withdraw(goal)
         if message.refused.reason in MOVED:
             goal.planned, goal.why = None, Refusal(Reason.ARM_MOVED)
             goal.waits, goal.since = self._view.state, self._moment.now
@@ -149,7 +135,8 @@ class Goals:
             self._end(goal, message.refused.refusal)
 
     def lost(self, reason: str) -> None:
-        if (goal := self._offered()) is not None:
+        if (goal := self._programs.offered) is not None:
+            self._programs.withdraw(goal)
             self._end(goal, Refusal(Reason.EXECUTOR_LOST, why=reason))
 
     # --- one request; each of these functions raises Refusal if the request cannot be carried out
@@ -170,7 +157,7 @@ class Goals:
         if goal.state == "offered":
             if self._waits(goal, EXECUTOR_TIMEOUT):
                 return
-            self._programs.give_up(goal.program.program)
+            self._programs.give_up(goal)
             raise Refusal(Reason.EXECUTOR_SILENT, seconds=EXECUTOR_TIMEOUT)
         if goal.waits is not None and goal.waits is self._view.state and self._waits(goal, NEWER_WITHIN):
             return
@@ -231,7 +218,7 @@ class Goals:
                 wanted = msgspec.structs.replace(wanted, deadline=goal.plan_by - now)
             task = tasks.PlanGoal(wanted, goal.received, self._premises.correction(), basis)
         goal.job = self._jobs.start(task, partial(self._answered, goal))
-        if self._waiting:
+        if len(self.all) > 1:
             self._jobs.hurry(goal.job)
 
     def _answered(self, goal: Goal, answer: tasks.Answer) -> None:
@@ -258,21 +245,10 @@ class Goals:
     # --- the end of waiting
 
     def _end(self, goal: Goal, refusal: Refusal) -> None:
-        self._drop(goal)
-        self._refuse(goal, refusal)
-
-    def _drop(self, goal: Goal) -> None:
-        """Removes a request that is answered, or will be answered elsewhere."""
-        self._jobs.abandon(goal.job)
-        if goal is self._current:
-            self._current = None
-            self._preparation.begin(goal.wanted)
-        else:
-            self._waiting.remove(goal)
-
-    def _refuse(self, goal: Goal, refusal: Refusal) -> None:
         act, second = self._parts.act, int(self._moment.now)
-        act(Reply(goal.request, refused(refusal, goal.id)))
+        if goal is self.all[0]:
+            self._preparation.begin(goal.wanted)
+        self._requests.end(goal, refused(refusal, goal.id))
         self._lines, self._second = 1 if second != self._second else self._lines + 1, second
         if self._lines <= MOST_LINES:
             fields = fields_of_refusal(goal.id, refusal.reason.value, refusal.code)

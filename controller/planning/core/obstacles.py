@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from hyperbit.controller.planning.core import tasks
-from hyperbit.controller.planning.core.events import Reply, SentObstacles, ToExecutor, done, refused
-from hyperbit.controller.planning.core.parts import Parts
+from hyperbit.controller.planning.core.events import SentObstacles, ToExecutor, done, refused
+from hyperbit.controller.planning.core.parts import Parts, Pending
 from hyperbit.controller.planning.core.tasks import Answer, SceneBuilt, VersionedScene
 from hyperbit.controller.program import Clearance, Question
 from hyperbit.controller.refusals.reasons import Reason
@@ -24,9 +24,7 @@ LONGEST = 5.0  # [s], longest wait of the answer to new obstacles for checks of 
 
 
 @dataclass(eq=False)
-class Change:
-    request: int
-    at: float  # time of arrival [s]
+class Change(Pending):
     effects: list[str] = field(default_factory=list)  # on running goals, as sentences
 
 
@@ -38,7 +36,7 @@ class ObstacleOwner:
         self._sent: SentObstacles | None = None  # the obstacles of this generation
         self._built = SceneBuilt(scene, total, 0)  # the last scene
         self._built_of: SentObstacles | None = None  # its message
-        self._changes: list[Change] = []
+        self._requests = parts.requests
         self._questions: list[Question] = []
         self._standing_seen: tuple[int, bytes, bytes] | None = None  # inputs of the last check
         self._standing_job: int | None = None
@@ -57,7 +55,7 @@ class ObstacleOwner:
 
     def change(self, request: int, message: SentObstacles) -> bool:
         """Stores other obstacles; returns whether they differ from the present ones."""
-        self._changes.append(Change(request, self._moment.now))
+        self._requests.add(Change(request, self._moment.now))
         before, obstacles = self._sent, message.obstacles
         if not len(obstacles) if before is None else same_content(before.obstacles, obstacles):
             return False
@@ -72,12 +70,13 @@ class ObstacleOwner:
         generation = self._built.scene.generation
         assert generation <= self.generation, f"scene {generation} is newer than its obstacles"
         waits = self.scene is None or unchecked or self._standing_job is not None
-        assert waits or not self._changes, f"{self._changes} have no answer"
+        changes = self._requests.of(Change)
+        assert waits or not changes, f"{changes} have no answer"
         assert self.scene is None or self._built_of is self._sent, "the obstacles are not those of the scene"
         assert self.scene is None or not self._questions, "a question of the executor waits for nothing"
 
     def note(self, effect: str) -> None:
-        for change in self._changes:
+        for change in self._requests.of(Change):
             change.effects.append(effect)
 
     def answer(self, unchecked: list[str], at_once: bool = False) -> None:
@@ -87,14 +86,13 @@ class ObstacleOwner:
                 self._refuse(Refusal(Reason.SHUTTING_DOWN))
             return
         checked = not unchecked and self._standing_job is None
-        for change in list(self._changes):
-            if checked or at_once or self._moment.now > change.at + LONGEST:
-                self._changes.remove(change)
+        for change in self._requests.of(Change):
+            if checked or at_once or self._moment.now > change.since + LONGEST:
                 _, total, sent = self._built
                 said = f"{total} {'obstacle' if total == 1 else 'obstacles'}, {sent} of them sent"
                 standing = [] if self.standing is None else [f"{self.standing} where the arm stands"]
                 later = [f"goal {goal} is still being checked, no stage begins before" for goal in unchecked]
-                self._act(Reply(change.request, done("; ".join([said, *standing, *change.effects, *later]))))
+                self._requests.end(change, done("; ".join([said, *standing, *change.effects, *later])))
 
     def _scene_answered(self, generation: int, answer: Answer) -> None:
         if generation != self.generation:
@@ -111,9 +109,8 @@ class ObstacleOwner:
             self.ask(question)
 
     def _refuse(self, refusal: Refusal) -> None:
-        changes, self._changes = self._changes, []
-        for change in changes:
-            self._act(Reply(change.request, refused(refusal)))
+        for change in self._requests.of(Change):
+            self._requests.end(change, refused(refusal))
 
     # --- the executor's questions
 

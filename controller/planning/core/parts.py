@@ -1,4 +1,4 @@
-"""Shared by all parts of the core: the time, the order of requests, tasks under way, and the numbers of programs.
+"""Shared by all parts of the core: the time, requests and their order, tasks under way, and the numbers of programs.
 
 A cancel, stop or reset bars every goal and every stream of set-points that arrived before it. The planner decides by
 the numbers of arrivals, the executor by epoch. While a cancel is unanswered, new requests belong to the epoch that
@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeVar
 
 from hyperbit.controller.planning.core.arm import ExecutorView
-from hyperbit.controller.planning.core.events import Abandon, Action, Fail, Hurry, Start
+from hyperbit.controller.planning.core.events import Abandon, Action, Fail, Hurry, Payload, Reply, Start
 from hyperbit.controller.planning.core.tasks import Answer, PrepareSearch, Task
 
 if TYPE_CHECKING:
@@ -169,6 +169,48 @@ class Jobs:
         return {number for number, job in self._jobs.items() if job.on_answer is not None}
 
 
+@dataclass(eq=False)
+class Pending:
+    """A request that is not over; each kind of request has its own record."""
+
+    number: int  # of its arrival
+    since: float  # its arrival, or when its present wait began [s]
+    job: int | None = field(default=None, kw_only=True)  # number of the task that it waits for
+
+
+Kind = TypeVar("Kind", bound=Pending)
+
+
+class PendingRequests:
+    """The one table of requests, by number, in the order in which they reached the core."""
+
+    def __init__(self, jobs: Jobs, act: Callable[[Action], None]) -> None:
+        self._jobs, self._act = jobs, act
+        self._pending: dict[int, Pending] = {}
+
+    def add(self, request: Pending) -> None:
+        self._pending[request.number] = request
+
+    def of(self, kind: type[Kind]) -> list[Kind]:
+        """Returns the requests of a kind, the oldest first; the list stays when the table changes."""
+        return [request for request in self._pending.values() if isinstance(request, kind)]
+
+    def find(self, kind: type[Kind], number: int) -> Kind | None:
+        request = self._pending.get(number)
+        return request if isinstance(request, kind) else None
+
+    def end(self, request: Pending, payload: Payload) -> None:
+        """Answers a request, unless it is over, and abandons its task."""
+        if self._pending.get(request.number) is request:
+            self._jobs.abandon(request.job)
+            self._act(Reply(request.number, payload))
+            self.forget(request)
+
+    def forget(self, request: Pending) -> None:
+        """Removes a request that was answered before."""
+        del self._pending[request.number]
+
+
 class Parts:
     def __init__(
         self, view: ExecutorView, pace: Pace, name: str, act: Callable[[Action], None], simulated: bool = False
@@ -178,10 +220,15 @@ class Parts:
         self.simulated = simulated  # whether the boards of the arm are simulated
         self.moment, self.admission = Moment(), Admission()
         self.jobs = Jobs(self.moment, act)
+        self.requests = PendingRequests(self.jobs, act)
         self.last_number = 0  # of a program or stream of set-points
 
     def check(self, tasks: list[int | None]) -> None:
-        """Asserts that tasks that are waited for run, and no tickets wait without a reason; see `Core.check`."""
+        """Asserts that tasks that are waited for run, and no tickets wait without a reason; see `Core.check`.
+
+        `tasks` are waited for beside those of the requests.
+        """
+        tasks = [*(request.job for request in self.requests.of(Pending)), *tasks]
         waited = [task for task in tasks if task is not None]
         assert len(waited) == len(set(waited)), f"two wait for a task: {waited}"
         lost = set(waited) - self.jobs.awaited()

@@ -19,69 +19,62 @@ class Programs:
     def __init__(self, parts: Parts, obstacles: ObstacleOwner, results: Results, improves: bool) -> None:
         self.last_accepted = 0  # number of the latest program that the executor accepted
         self._view, self._jobs, self._moment, self._act = parts.view, parts.jobs, parts.moment, parts.act
-        self._obstacles, self._results, self._improves = obstacles, results, improves
-        self._goals: dict[int, Goal] = {}  # by number of the program
-        self._unrecorded: dict[int, Goal] = {}  # accepted ones by entry of the ledger
+        self._requests, self._obstacles, self._results, self._improves = parts.requests, obstacles, results, improves
 
     # --- what is in flight
 
     @property
-    def current(self) -> Goal | None:
-        return next((goal for goal in reversed(self._goals.values()) if goal.state == "running"), None)
+    def all(self) -> list[Goal]:
+        return [goal for goal in self._requests.of(Goal) if goal.state in ("offered", "running")]
 
-    def find(self, goal: str) -> Goal | None:
-        return next((found for found in self._goals.values() if found.id == goal), None)
+    @property
+    def current(self) -> Goal | None:
+        return next((goal for goal in reversed(self.all) if goal.state == "running"), None)
+
+    @property
+    def offered(self) -> Goal | None:
+        return next((goal for goal in self.all if goal.state == "offered"), None)
 
     @property
     def improving(self) -> bool:
-        return any(goal.job is not None for goal in self._goals.values())
+        return any(goal.job is not None for goal in self.all)
 
-    @property
-    def offered(self) -> bool:
-        return any(goal.state == "offered" for goal in self._goals.values())
-
-    @property
-    def idle(self) -> bool:
-        return not self._goals and not self._unrecorded
+    def find(self, goal: str) -> Goal | None:
+        return next((found for found in self.all if found.id == goal), None)
 
     def unchecked(self) -> list[str]:
-        return [goal.id for goal in self._goals.values() if goal.outcome is None and goal.feed.waits_for_check]
+        return [goal.id for goal in self.all if goal.outcome is None and goal.feed.waits_for_check]
 
-    def awaited(self) -> list[int | None]:
-        return [task for goal in self._goals.values() for task in (goal.job, goal.checking)]
+    def checks(self) -> list[int | None]:
+        return [goal.checking for goal in self.all]
 
     def check(self) -> None:
-        """Asserts that each program is known by its number, and that its reports come soon; see `Core.check`."""
-        running = [goal for goal in self._goals.values() if goal.state == "running"]
-        for number, goal in self._goals.items():
-            assert (goal.program.program, goal.state != "waiting") == (number, True), f"{goal.id} is {goal.state}"
+        """Asserts that the reports on each program come soon, and what ended goals wait for; see `Core.check`."""
+        numbers = [goal.program.program for goal in self.all]
+        assert len(numbers) == len(set(numbers)), f"two goals have one program: {numbers}"
+        assert not numbers or self._view.connected, f"without an executor run {[goal.id for goal in self.all]}"
+        for goal in self._requests.of(Goal):
             assert not goal.held or goal.deviates, f"reports on {goal.id} wait for nothing"
             assert not goal.deviates or goal.job is not None, f"{goal.id} waits for deviations that nobody computes"
             assert goal.outcome is None or goal.job is goal.checking is None, f"tasks of {goal.id}, which was ended"
-            assert goal.unrecorded is None or self._unrecorded.get(goal.unrecorded) is goal, (
-                f"{goal.id} is not recorded"
-            )
-        assert not self._goals or self._view.connected, f"without an executor run {[goal.id for goal in running]}"
-        assert all(goal.unrecorded == entry for entry, goal in self._unrecorded.items()), (
-            "an acceptance has two entries"
-        )
+            assert goal.state != "ended" or goal.unrecorded is not None, f"{goal.id} is over, and waits"
+            assert goal.publication is None or goal.state == "ended", f"{goal.id} has a result, and is {goal.state}"
 
     # --- sending
 
     def offer(self, goal: Goal) -> None:
         goal.state = "offered"
-        self._goals[goal.program.program] = goal
         self._act(ToExecutor(goal.program))
 
-    def withdraw(self, number: int) -> None:
+    def withdraw(self, goal: Goal) -> None:
         """Abandons a program that the executor declined or does not answer; its result is not published."""
-        if self._goals.pop(number, None) is not None:
-            self._results.waive(self._identity(number))
+        goal.state = "waiting"
+        self._results.waive(self._identity(goal.program.program))
 
-    def give_up(self, number: int) -> None:
+    def give_up(self, goal: Goal) -> None:
         """Withdraws a program, and cancels it in case the executor accepts it late."""
-        self.withdraw(number)
-        self._act(ToExecutor(Cancel(0, number, GAVE_UP)))
+        self.withdraw(goal)
+        self._act(ToExecutor(Cancel(0, goal.program.program, GAVE_UP)))
 
     def end(self, goal: Goal, message: str, sentence: str = "") -> None:
         """Cancels a running program at the executor; with the result `message`. `sentence`: for the mode's reason."""
@@ -89,27 +82,26 @@ class Programs:
             return
         self._stop_tasks(goal)
         self._tell(goal)  # the program may have ended, and its result may wait for the deviations
-        if goal.program.program in self._goals:
+        if goal.state == "running":
             goal.outcome = GoalOutcome("aborted", PATH_TOLERANCE_VIOLATED, message, sentence)
             self._act(ToExecutor(Cancel(0, goal.program.program, message[:1_000])))
 
     def pause_improvement(self) -> None:
         """Frees the worker of goals for a goal that waits; the running goal continues as planned so far."""
-        for goal in list(self._goals.values()):
+        for goal in self.all:
             self._stop_improving(goal)
             self._tell(goal)
 
     # --- the executor
 
     def accepted(self, message: Accepted) -> None:
-        goal, scene = self._goals.get(message.program), self._obstacles.scene
+        goal, scene = self._of(message.program), self._obstacles.scene
         if goal is None:
             self._act(ToExecutor(Cancel(0, message.program, GAVE_UP)))
             return
         goal.state, goal.begin, self.last_accepted = "running", message.begin, message.program
         goal.stage_began = message.begin
         goal.unrecorded = entry = self._results.next_entry()
-        self._unrecorded[entry] = goal
         acceptance = AcceptanceEntry(goal.id, self._moment.wall, 1 if goal.report is None else goal.report.count)
         self._act(Record(entry, self._identity(message.program), acceptance, None))
         planned, basis = goal.planned, goal.basis
@@ -120,13 +112,19 @@ class Programs:
         self._feed(goal)
 
     def recorded(self, entry: int) -> None:
-        if (goal := self._unrecorded.pop(entry, None)) is not None:
-            goal.unrecorded = None
-            self._act(Reply(goal.request, goal.answer))
+        """Answers the client whose acceptance the ledger has, and publishes the result that waited for it."""
+        for goal in self._requests.of(Goal):
+            if goal.unrecorded == entry:
+                goal.unrecorded = None
+                self._act(Reply(goal.number, goal.answer))
+                if goal.publication is not None:
+                    self._act(goal.publication)
+                if goal.state == "ended":
+                    self._requests.forget(goal)
 
     def receive_report(self, message: Begun | Replaced | Settled | Ended) -> None:
-        goal = self._goals.get(message.program)
-        if goal is None:
+        goal = self._of(message.program)
+        if goal is None or goal.state != "running":
             if isinstance(message, Ended):
                 self._results.ended(message, None)
             return
@@ -154,22 +152,20 @@ class Programs:
                 self._tell(goal)
 
     def lost(self, reason: str) -> None:
-        """Ends all accepted programs as aborted, because the executor is lost; the others are withdrawn."""
-        for number, goal in list(self._goals.items()):
-            if goal.state != "running":
-                self.withdraw(number)
-                continue
+        """Ends all accepted programs as aborted, because the executor is lost."""
+        for goal in self.all:
             goal.deviates = False
             self._tell(goal)
-            if self._goals.pop(number, None) is not None:
-                self._stop_tasks(goal)
+            if goal.state == "running":
+                self._end(goal)
                 outcome = goal.outcome or GoalOutcome("aborted", PATH_TOLERANCE_VIOLATED, reason)
-                self._results.lost(self._identity(number), goal.program.context, outcome, goal.switches, goal)
+                identity = self._identity(goal.program.program)
+                self._results.lost(identity, goal.program.context, outcome, goal.switches, goal)
 
     # --- obstacles
 
     def park(self, generation: int) -> None:
-        for goal in list(self._goals.values()):
+        for goal in self.all:
             if goal.feed.checked != generation and not goal.unchecked:
                 self._stop_tasks(goal)
                 self._tell(goal)
@@ -181,7 +177,7 @@ class Programs:
         scene, state = self._obstacles.scene, self._view.state
         if scene is None or state is None:
             return
-        for goal in self._goals.values():
+        for goal in self.all:
             waits = goal.feed.waits_for_check and goal.checking is None
             if not waits or goal.state != "running" or goal.outcome is not None:
                 continue
@@ -239,8 +235,7 @@ class Programs:
         while goal.held and not goal.deviates:
             message = goal.held.popleft()
             if isinstance(message, Ended):
-                self._stop_tasks(goal)
-                del self._goals[message.program]
+                self._end(goal)
                 self._results.ended(message, goal)
             elif goal.report is not None:
                 deviation = goal.feed.deviation(message.mark) if message.planned else None
@@ -252,6 +247,15 @@ class Programs:
     def _feed(self, goal: Goal) -> None:
         if goal.state == "running" and goal.outcome is None and (message := goal.feed.message()) is not None:
             self._act(ToExecutor(message))
+
+    def _end(self, goal: Goal) -> None:
+        self._stop_tasks(goal)
+        goal.state = "ended"
+        if goal.unrecorded is None:
+            self._requests.forget(goal)
+
+    def _of(self, number: int) -> Goal | None:
+        return next((goal for goal in self.all if goal.program.program == number), None)
 
     def _identity(self, number: int) -> Identity:
         return Identity(self._view.instance or 0, number)

@@ -63,8 +63,6 @@ class Results:
         self._met_at = math.inf  # when the present executor was met [s]
         self._last = 0  # number of a publication or of an entry of the ledger
         self._on_way: dict[int, Untold] = {}  # by number of its publication, then of its entry
-        # By entry of the acceptance, which the ledger must have first.
-        self._deferred: dict[int, events.PublishResult] = {}
 
     @property
     def idle(self) -> bool:
@@ -83,8 +81,6 @@ class Results:
         assert len(on_way) == len(set(on_way)), f"a result is on its way twice: {on_way}"
         assert self._told.issuperset(on_way), "a result on its way does not count as told"
         assert self._told.isdisjoint(self._owed), "a result that was told is still owed"
-        waits = {publication.number for publication in self._deferred.values()}
-        assert waits <= self._on_way.keys(), "a result waits for its acceptance, and nobody will publish it"
 
     # --- made
 
@@ -167,9 +163,7 @@ class Results:
             self._record(untold)
 
     def recorded(self, entry: int) -> None:
-        """Acknowledges a recorded result, or publishes a result that waited for this acceptance."""
-        if (publication := self._deferred.pop(entry, None)) is not None:
-            self._act(publication)
+        """Acknowledges a recorded result."""
         untold = self._on_way.pop(entry, None)
         if untold is not None and untold.result is not None and untold.identity.instance == self._view.instance:
             self._act(ToExecutor(Acknowledge(untold.result)))
@@ -188,7 +182,7 @@ class Results:
         if goal is None or goal.unrecorded is None:
             self._act(publication)
         else:
-            self._deferred[goal.unrecorded] = publication
+            goal.publication = publication
         text = f"goal {payload['id']} {payload['status']}: {payload['message']}"
         self._act(Log(logging.INFO, text, fields_of_result(payload)))
 

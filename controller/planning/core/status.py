@@ -120,7 +120,7 @@ class Status:
             "loop": latest.loop,
             "buses": latest.buses,
             "boards": latest.boards,
-            "queues": {"inbox": self._parts.jobs.waiting, "planning": len(self._goals.all) + self._queries.waiting},
+            "queues": {"inbox": self._parts.jobs.waiting, "planning": len(self._goals.all) + len(self._queries.all)},
             "setpoint": self._stream.status(),
             "switches": max(sum(latest.counts) - (view.counted or 0), 0),
             "counts": latest.counts,

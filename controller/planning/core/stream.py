@@ -125,7 +125,7 @@ class Stream:
         if not self._alive(self._fitted):
             self._abandon()
             return
-        if self._programs.offered:
+        if self._programs.offered is not None:
             return
         ticket, mode = self._ticket, self._premises.locks.mode()[0]
         if ticket is None or mode not in ("ready", "executing") or self._admission.stream_ended(ticket):
