@@ -1,10 +1,9 @@
-"""Tip bias: a Kalman filter (filterpy) over the difference between measured and computed tips.
+"""Tip bias: a filter of the difference between measured and computed tips.
 
 The bias is measured minus computed position, in the world's frame. Causes are a base that has settled or an arm that
 sags. The model is a random walk. Errors that depend on the configuration are corrected by calibration.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -15,8 +14,7 @@ from numpy.typing import NDArray
 from hyperbit.controller.armfile.fields import Angle, Coordinate
 from hyperbit.controller.motion.decoding.goal import Time
 from hyperbit.controller.motion.decoding.payloads import parse
-from hyperbit.controller.motion.tracking.kalman import kalman_filter
-from hyperbit.controller.motion.tracking.tracking import GATES
+from hyperbit.controller.motion.tracking.track import PointModel, Track
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 
@@ -60,60 +58,13 @@ class Tracker:
     hold: float  # time for which the bias is used after the last sample [s]
 
 
-class RandomWalk:
-    """A Kalman filter of a bias that is a random walk."""
-
-    def __init__(self, dimension: int, tracker: Tracker) -> None:
-        self._dimension, self._tracker = dimension, tracker
-        self._kalman = kalman_filter(dimension, dimension)
-        self._kalman.F = self._kalman.H = np.eye(dimension)
-        self._kalman.R = tracker.noise**2 * np.eye(dimension)
-        self.time, self.updates = -math.inf, 0
-
-    @property
-    def bias(self) -> Vector:
-        """The estimate, shape (dimension,)."""
-        return np.asarray(self._kalman.x).copy()
-
-    @property
-    def deviation(self) -> float:
-        """Standard deviation of one coordinate of the estimate."""
-        return float(np.sqrt(self._kalman.P[0, 0]))
-
-    def start(self, bias: Vector, deviation: float, time: float) -> None:
-        """Restarts the filter from a bias (dimension,) with a standard deviation."""
-        self._kalman.x, self._kalman.P = bias.copy(), deviation**2 * np.eye(self._dimension)
-        self.time, self.updates = time, 1
-
-    def fits(self, difference: Vector, time: float) -> bool:
-        """Returns whether a difference (dimension,) is within the gate around the estimate."""
-        variance = self._kalman.P[0, 0] + self._added_variance(time) + self._tracker.noise**2  # of each coordinate
-        missed = difference - self._kalman.x
-        return bool(missed @ missed <= GATES[self._dimension] * variance)
-
-    def update(self, difference: Vector, time: float) -> None:
-        """Updates the estimate with a difference (dimension,) measured at a time."""
-        self._kalman.predict(Q=self._added_variance(time) * np.eye(self._dimension))
-        self._kalman.update(difference)
-        self.time, self.updates = time, self.updates + 1
-
-    def _added_variance(self, time: float) -> float:
-        return self._tracker.drift**2 * max(time - self.time, 0.0)
-
-
 class TipBias:
-    """The tip bias of one arm. The caller gives all times, in seconds of one clock.
-
-    Attributes:
-        outliers: differences dropped by the gate so far.
-        jumps: how often agreeing outliers replaced the bias.
-    """
+    """The tip bias of one arm. The caller gives all times, in seconds of one clock."""
 
     def __init__(self, dimension: int, tracker: Tracker) -> None:
         """Builds the filters. This is slow: call it before the arm moves."""
         self._tracker, self._none = tracker, np.zeros(dimension)
-        self._estimate, self._rival = RandomWalk(dimension, tracker), RandomWalk(dimension, tracker)
-        self.outliers = self.jumps = 0
+        self.track = Track(dimension, PointModel(1, tracker.noise, tracker.drift, agreeing=AGREEING))
 
     def measure(self, difference: Vector, time: float) -> bool:
         """Takes a difference, measured minus computed (dimension,); returns False if it is an outlier.
@@ -121,42 +72,26 @@ class TipBias:
         Raises:
             Refusal: the sample is older than the last one, or farther than FARTHEST clamps.
         """
-        if time <= self._estimate.time:
-            early = self._estimate.time - time
-            raise Refusal(Reason.OUT_OF_ORDER, early=f"{early:.3f}")
+        if time <= self.track.time:
+            raise Refusal(Reason.OUT_OF_ORDER, early=f"{self.track.time - time:.3f}")
         far, most = float(np.linalg.norm(difference)), FARTHEST * self._tracker.clamp
         if far > most:
             raise Refusal(Reason.TIP_TOO_FAR, away=f"{far:.4g}", most=f"{most:.4g}")
-        if time - self._estimate.time > self._tracker.hold:
-            self._estimate.start(self._none, self._tracker.clamp, time)
-        if self._estimate.fits(difference, time):
-            self._estimate.update(difference, time)
-        elif not self._rival_won(difference, time):
-            self.outliers += 1
-            return False
-        self._rival.updates = 0
-        return True
+        if time - self.track.time > self._tracker.hold:
+            self.track.start(self._none, self._tracker.clamp, time)
+        return self.track.measure(difference, time)
 
     def at(self, time: float) -> Vector:
         """Returns the bias to correct goals by (dimension,), at most a clamp long; zero once `hold` is over."""
-        if not time - self._estimate.time <= self._tracker.hold:
+        if not time - self.track.time <= self._tracker.hold:
             return self._none
-        bias = self._estimate.bias
+        bias = self.track.predict(self.track.time).position
         return np.asarray(bias * min(1.0, self._tracker.clamp / max(float(np.linalg.norm(bias)), 1e-300)))
 
     @property
     def estimate(self) -> tuple[Vector, float] | None:
         """The estimate before clamping, shape (dimension,), and its standard deviation; None without samples."""
-        return (self._estimate.bias, self._estimate.deviation) if self._estimate.updates else None
-
-    def _rival_won(self, difference: Vector, time: float) -> bool:
-        """Adds an outlier to the rival estimate; returns whether the rival has replaced the bias."""
-        if self._rival.updates and self._rival.fits(difference, time):
-            self._rival.update(difference, time)
-        else:
-            self._rival.start(difference, self._tracker.noise, time)
-        if self._rival.updates < AGREEING:
-            return False
-        self._estimate, self._rival = self._rival, self._estimate
-        self.jumps += 1
-        return True
+        if not self.track.begun:
+            return None
+        position, _, covariance = self.track.predict(self.track.time)
+        return position, float(np.sqrt(covariance[0, 0]))

@@ -162,8 +162,8 @@ class TipBiasEstimator:
         return {
             **self._counts,
             "last_refusal": self._last_refusal,
-            "outliers": self._filter.outliers,
-            "jumps": self._filter.jumps,
+            "outliers": self._filter.track.outliers,
+            "jumps": self._filter.track.jumps,
             "estimate": None if estimate is None else estimate.tolist(),
             "deviation": deviation,
             "bias": self.bias().tolist(),

@@ -46,12 +46,12 @@ def test_a_slow_change_is_followed():
 def test_outliers_change_nothing(seed):
     rng, bias = np.random.default_rng(seed), TipBias(2, TRACKER)
     fed(bias, np.array([0.003, 0.0]), rng, 100)
-    before, dropped = bias.at(5.0), bias.outliers
+    before, dropped = bias.at(5.0), bias.track.outliers
     for k in range(AGREEING * 3):  # each at another place
         angle = 2.4 * k
         assert not bias.measure(0.01 * np.array([np.cos(angle), np.sin(angle)]), 5.1 + 0.05 * k)
     assert_array_equal(bias.at(9.0), before)
-    assert (bias.outliers - dropped, bias.jumps) == (AGREEING * 3, 0)
+    assert (bias.track.outliers - dropped, bias.track.jumps) == (AGREEING * 3, 0)
 
 
 def test_outliers_that_agree_are_the_bias():
@@ -61,7 +61,7 @@ def test_outliers_that_agree_are_the_bias():
     assert_allclose(bias.at(11.0), [0.003, 0.0], atol=1e-4)
     fed(bias, np.array([0.0, 0.006]), rng, 10, 20.0)
     assert_allclose(bias.at(21.0), [0.0, 0.006], atol=1e-4)
-    assert bias.jumps == 1
+    assert bias.track.jumps == 1
 
 
 def test_no_correction_is_longer_than_the_clamp_and_what_is_far_is_refused():

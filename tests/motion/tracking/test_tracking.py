@@ -100,8 +100,8 @@ def test_lead_brings_the_prediction_nearer_than_the_raw_stream(rate, stamped):
     inliers = rms((s.positions - true)[~s.outliers])
     assert rms(led - true) < 0.5 * inliers < 0.25 * rms(s.positions - true)
     assert rms(level - true) > 0.9 * inliers  # filtering alone improves little
-    assert s.outliers.sum() <= tracker.outliers <= s.outliers.sum() + 0.01 * len(s.stamps)
-    assert tracker.jumps == 0
+    assert s.outliers.sum() <= tracker.track.outliers <= s.outliers.sum() + 0.01 * len(s.stamps)
+    assert tracker.track.jumps == 0
 
 
 def test_outliers_leave_the_track_where_it_is():
@@ -111,7 +111,7 @@ def test_outliers_leave_the_track_where_it_is():
     for k, away in enumerate([(1, 0), (0, 1), (-1, 0), (0, -1)] * 5):
         assert not tracker.measure(np.add((0.5, 2.9), away), None, now + 0.01 * (k + 1))
     assert tracker.predict(now).position == pytest.approx(before, abs=1e-12)
-    assert (tracker.outliers, tracker.jumps) == (20, 0)
+    assert (tracker.track.outliers, tracker.track.jumps) == (20, 0)
 
 
 @pytest.mark.parametrize(("dimension", "quantile"), [(2, 13.816), (3, 16.266)])
@@ -148,7 +148,7 @@ def test_a_jump_is_followed_from_the_third_setpoint_on():
     taken = [tracker.measure((1.0, 2.0), None, now + 0.01 * k) for k in (1, 2, 3, 4)]
     assert taken == [False, False, True, True]
     assert tracker.predict(now + 0.04).position == pytest.approx((1.0, 2.0), abs=1e-3)
-    assert (tracker.outliers, tracker.jumps) == (2, 1)
+    assert (tracker.track.outliers, tracker.track.jumps) == (2, 1)
 
 
 def refused(tracker: GoalTracker, stamp: float | None, arrival: float, position: Any = (0.5, 2.9)) -> tuple[int, str]:
@@ -166,7 +166,7 @@ def test_stamps_out_of_order_stale_or_from_the_future_are_refused_with_by_how_mu
     code, sentence = refused(tracker, NOW + 0.1, NOW)
     assert (code, sentence[:60]) == (INVALID_GOAL, "stamp: 0.100 s in the future, at most 0.02 s are accepted; s")
     assert tracker.measure((0.5, 2.9), NOW + 0.01, NOW + 0.15)
-    assert tracker.outliers == 0
+    assert tracker.track.outliers == 0
 
 
 @pytest.mark.parametrize("offset", [-3600, -0.3, 0.05, 3600])
