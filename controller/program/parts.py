@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-VERSION = 9
+VERSION = 10
 MOST_BYTES = 65_536  # of one message; larger ones are refused unread
 MOST_STAGES = 1_000  # of one message; longer programs are sent in parts
 MOST_PROGRAM_STAGES = 100_000

@@ -43,7 +43,6 @@ class PlayableFaults(msgspec.Struct, frozen=True, array_like=True, forbid_unknow
 class Welcome(Message, frozen=True, tag="welcome"):
     """The answer to `Hello`."""
 
-    version: int
     arm: Text
     digest: Text  # SHA-256 of the arm's file, in hexadecimal; a planner needs the same file
     instance: Number  # random number of this executor process

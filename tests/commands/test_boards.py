@@ -17,7 +17,7 @@ import yaml
 
 from hyperbit.controller.commands.configure.check import summary
 from hyperbit.controller.executor.arm.arm import read_arm
-from hyperbit.controller.program import VERSION, BoardErrors, Goodbye, Up, Welcome, encode
+from hyperbit.controller.program import BoardErrors, Goodbye, Up, Welcome, encode
 from hyperbit.drivers.canopen.tools.lss import Lss
 from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from hyperbit.drivers.simulation.simulation import Simulation
@@ -26,7 +26,7 @@ from tests.commands.conftest import ARM
 from tests.waiting import eventually
 
 NAME = "checked-by-a-test"  # no executor of this computer has this name
-WELCOME = Welcome(VERSION, NAME, "", 1, (), 0)
+WELCOME = Welcome(NAME, "", 1, (), 0)
 MASTER = can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False)
 RUNNING = "an executor is running (its heartbeat, node 127, is on {}): stop it first"
 IDENTITY = "0x0:0x191:0x1:0x69"

@@ -12,7 +12,6 @@ import pytest
 from hyperbit.controller.planning.core.events import FromExecutor, LinkDown
 from hyperbit.controller.planning.link import MOST_BEHIND, MOST_QUEUED, RETRY, UNREAD, ExecutorLink
 from hyperbit.controller.program import (
-    VERSION,
     Alive,
     Answer,
     Goodbye,
@@ -87,7 +86,7 @@ class Deaf:
         self._server.listen()
         line.poll()
         self.client, _ = self._server.accept()
-        self.client.send(encode(Welcome(VERSION, "small", DIGEST, 1, (), 0)))
+        self.client.send(encode(Welcome("small", DIGEST, 1, (), 0)))
         line.welcome()
 
     def read(self) -> list[bytes]:

@@ -253,7 +253,7 @@ class Executor:
                     return
                 arm, counts, greatest = self._arm, tuple(self.journal.counts), self.requests.greatest
                 known = arm.name, arm.digest, self._instance, counts, greatest, self._simulation
-                self._to_client(client, program.Welcome(program.VERSION, *known))
+                self._to_client(client, program.Welcome(*known))
                 if message.role != "operator":
                     self._results.send_again()
                 if message.role == "commissioner":

@@ -40,7 +40,7 @@ from tests.executor.rig import OPERATOR, OTHER, PLANNER, SIZE, A, B, Rig, small_
 
 
 def test_a_planner_is_greeted_and_others_hear_why_not(rig: Rig) -> None:
-    assert rig.last(Welcome) == Welcome(VERSION, "small", "d" * 64, 7, (0,) * SIZE, 0)
+    assert rig.last(Welcome) == Welcome("small", "d" * 64, 7, (0,) * SIZE, 0)
     assert rig.core.clients.planner == PLANNER
     rig.connect(OTHER)
     assert rig.last(Goodbye, OTHER).reason == "a planner is connected already, process 4001; only one may drive the arm"

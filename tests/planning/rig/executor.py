@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from hyperbit.controller.program import (
-    VERSION,
     Alive,
     Counts,
     Down,
@@ -98,10 +97,7 @@ class ScriptedExecutor(PlayedExecutor):
                 case Hello():
                     if self.greets:
                         size = (0,) * self.actuators
-                        welcome = Welcome(
-                            VERSION, self.name, DIGEST, self.instance, size, self.greatest, self.simulation
-                        )
-                        self.send(welcome)
+                        self.send(Welcome(self.name, DIGEST, self.instance, size, self.greatest, self.simulation))
                         self.send(self.state)
                         self._greeted = True
                     self._messages.put(message)

@@ -11,7 +11,6 @@ import msgspec
 
 from hyperbit.controller.planning.core.events import FromExecutor
 from hyperbit.controller.program import (
-    VERSION,
     Accepted,
     Answer,
     Begun,
@@ -139,9 +138,7 @@ class DeskExecutor(PlayedExecutor):
         super().__init__(actuators)
 
     def greet(self, greatest: int = 0) -> None:
-        self.send(
-            Welcome(VERSION, "small", "d" * 64, self.instance, (0,) * self.actuators, greatest, self._desk.simulation)
-        )
+        self.send(Welcome("small", "d" * 64, self.instance, (0,) * self.actuators, greatest, self._desk.simulation))
         self.show()
 
     def now(self) -> float:
