@@ -68,6 +68,7 @@ check: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy tests/library/users_program.py
 	rm -rf $(VENV)/linked
 	cp -rsL $(CURDIR)/.package $(VENV)/linked
 	PYTHONPATH=$(VENV)/linked $(BIN)/lint-imports
