@@ -13,6 +13,8 @@ from hyperbit.controller.calibration.parameters import described, parameters
 from hyperbit.controller.calibration.proposals import Design
 from tests.calibration.making import ARMS, JOINTS, NOISE, TRUSSES, arm_of, erring
 
+SHORT = [{**JOINTS[0], "count": 3}, {**JOINTS[1], "count": 2}]
+
 
 def design(arm: Arm, **more: object) -> Design:
     description = described(arm, each=False)
@@ -64,7 +66,7 @@ def test_proposals_keep_locks_and_are_clear_of_obstacles(tmp_path):
 @pytest.mark.timeout(900)
 def test_measurements_end_when_the_held_out_error_no_longer_falls(tmp_path):
     with threadpool_limits(1, "blas"):
-        arm, rng = arm_of(tmp_path, JOINTS), np.random.default_rng(2)
+        arm, rng = arm_of(tmp_path, SHORT), np.random.default_rng(2)
         real, guide = erring(arm, rng), Guide(arm, None, oriented=False, each=False)
         while not guide.done:
             wanted = guide.propose()
