@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import queue
 import re
-from contextlib import ExitStack
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -131,17 +132,23 @@ def test_the_next_configurations_are_printed(hyperbit, files, tmp_path):
 @pytest.fixture
 def tracker(endpoint):
     """Publishes the tip of an arm that is not as in its file, as a tracker does."""
-    real = erring(load(ARM), np.random.default_rng(0), size=0.002)
-    with ExitStack() as stack:
-        client = stack.enter_context(connected("planar16", endpoint, None))
+    real, states = erring(load(ARM), np.random.default_rng(0), size=0.002), queue.SimpleQueue()
 
-        def publish(state):
+    def publish(client):
+        while (state := states.get()) is not None:
             if state["configuration"] is not None:
                 seen = real.computed(np.array([[int(c) for c in state["configuration"]]]), oriented=False)
-                client.put("measured_tip", json.dumps({"position": seen.tips[0, :2, 3].tolist()}).encode())
+                place = seen.tips[0, :2, 3].tolist()
+                stale = {"position": [0.0, 0.0], "stamp": state["stamp"] - 0.9}
+                for sent in (stale, {"position": ["a", 1]}, {"position": place, "stamp": state["stamp"]}):
+                    client.put("measured_tip", json.dumps(sent).encode())
 
-        stack.enter_context(client.subscribe("state", publish))
+    with connected("planar16", endpoint, None) as client, client.subscribe("state", states.put):
+        tracking = threading.Thread(target=publish, args=(client,))
+        tracking.start()
         yield
+        states.put(None)
+        tracking.join()
 
 
 @pytest.mark.usefixtures("tracker", "own_folders")

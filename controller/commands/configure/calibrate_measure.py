@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import queue
 import sys
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import typer
+from msgspec import ValidationError, convert
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.documents import read_text
@@ -24,6 +26,7 @@ from hyperbit.controller.commands.common import CommandFailed, console, errors, 
 from hyperbit.controller.commands.connection import connected, named
 from hyperbit.controller.commands.use.send import cancel_goal
 from hyperbit.controller.manipulator.notation import format_configuration, parse_configuration
+from hyperbit.controller.motion.tracking.bias import MeasuredTipMessage
 from hyperbit.controller.refusals.reasons import Reason
 
 if TYPE_CHECKING:
@@ -165,18 +168,21 @@ def from_prompt(dimension: int, unit: str) -> Tip | None:
 
 
 def from_tracker(client: Client, dimension: int) -> Tip:
-    """Returns the mean of the next positions that a tracker publishes."""
+    """Returns the mean of the next positions that a tracker measures from now on, by their stamps."""
     heard: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-    found, until = list[list[float]](), time.monotonic() + HEARD_WITHIN
+    found, until, now = list[list[float]](), time.monotonic() + HEARD_WITHIN, time.time()
     with client.subscribe("measured_tip", heard.put):
         while len(found) < AVERAGED:
             try:
-                position = heard.get(timeout=max(until - time.monotonic(), 0.0)).get("position")
+                message = heard.get(timeout=max(until - time.monotonic(), 0.0))
             except queue.Empty:
                 words = f"{len(found)} of {AVERAGED} positions came on `measured_tip` within {HEARD_WITHIN:g} s"
+                words += ", each with a `stamp` after the motion"
                 raise CommandFailed(words, "start the tracker, then this command again: it goes on") from None
-            if isinstance(position, list) and len(position) == dimension and np.isfinite(position).all():
-                found.append([float(x) for x in position])
+            with contextlib.suppress(ValidationError):
+                measured = convert(message, MeasuredTipMessage)
+                if measured.stamp >= now and len(measured.position) == dimension:
+                    found.append(measured.position)
     return np.mean(found, axis=0).tolist(), None
 
 

@@ -81,7 +81,8 @@ def test_a_stream_replaces_a_goal_and_a_goal_the_stream(
     def accepted() -> str:
         """Sends a goal; on a busy machine the arm follows the stream to another place before it can begin."""
         answer = client.goal(RIGHT, id=next(names))
-        assert answer["accepted"] or answer["reason"] in ("moved-since-planned", "arm-moved"), answer
+        later = ("moved-since-planned", "arm-moved", "too-late-to-begin")
+        assert answer["accepted"] or answer["reason"] in later, answer
         return answer["id"] if answer["accepted"] else ""
 
     def replace() -> None:
