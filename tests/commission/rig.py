@@ -75,7 +75,7 @@ def look(world: World, session: Session, label: str, state: int) -> Sighting:
     """Tries an actuator, and says what a person sees: what has moved, and which lamps of its valve are lit."""
     number, before = world.core.requests.greatest + 1, world.boards.positions()
     world.send(Trial(number, world.epoch, LABELS.index(label), state, 0.3, world.now + 1.0))
-    world.go(1.0)
+    world.go(0.6)
     ended = world.last(Ended)
     assert (ended.program, ended.status) == (number, "done"), ended
     after = world.boards.positions()
