@@ -1,6 +1,7 @@
 """The arm of the paper and its densities, for every room's tests."""
 
 import gc
+import importlib
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -28,6 +29,8 @@ settings.load_profile("hyperbit")
 # A shell without job control starts what runs in the background with SIGINT ignored, and each child inherits that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# The program imports these late; the processes of the tests share them.
+LATE = ("scipy.optimize", "matplotlib.backends.backend_agg", "mpl_toolkits.mplot3d", "optuna")
 BUSES = ("virtual", "socketcan")
 pytest_plugins = ["tests.forks"]
 PAPER_ARM = Path(__file__).parents[1] / "deploy" / "planar16.yaml"
@@ -45,6 +48,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     if session.config.option.forks:
         for kernel in kernels:
             kernel.load()
+        for name in LATE:
+            importlib.import_module(name)
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
     shared_folder()

@@ -64,7 +64,7 @@ def test_a_seed_replays_exactly_and_whatever_the_clock_of_the_system_says() -> N
 
 # --- each fault of the table alone
 
-ENOUGH, MOST_SEEDS = 2, 60  # strikes of each fault; seeds until it has struck so often: few arms fit some
+MOST_SEEDS = 60  # until each fault has struck: few arms fit some
 OF_DRIVERS = {"new error among kept ones"}  # tests/drivers has it
 OF_BOARDS = OF_DRIVERS | {"another program writes outputs", "another program writes outputs that are not used"}
 NAMES = sorted({*World(0).single_faults.names} - UNJUDGED - OF_BOARDS | {"executor is killed"})
@@ -76,11 +76,11 @@ ROWS = [row for row in (*rows(*ALONE, "left"), *commands.ROWS) if row.name not i
 def test_the_executor_tells_each_fault_as_its_row_says(name: str) -> None:
     struck = 0
     for seed in count():
-        assert seed < MOST_SEEDS, f"it has struck {struck} times"
+        assert seed < MOST_SEEDS, "it has never struck"
         world = World(seed, only=name)
         world.run(STEPS)
         struck += world.trouble.made[f"only: {name}"]
-        if struck >= ENOUGH:
+        if struck:
             return
 
 
@@ -93,7 +93,7 @@ def test_the_master_tells_each_fault_as_its_row_says(row: Row) -> None:
         world = BoardWorld(seed, only=row)
         world.run(4_000)
         struck += world.counts()[f"fieldbus: {kind}: {row.name}"]
-        if struck >= 2 * ENOUGH:
+        if struck >= 2:
             return
 
 
