@@ -23,7 +23,7 @@ from hyperbit.controller.studies.workers import check_workers, local_workers
 if TYPE_CHECKING:
     from distributed import Client
 
-EFFORT = 50.0  # about that of GOAL_DEADLINE
+EFFORT = 50.0  # about that of a search without a deadline
 
 
 class SolverJob(NamedTuple):
@@ -80,7 +80,7 @@ def map(
         ConfigurationError: the start is no configuration of the arm.
         StudyError: Dask is not installed, or the cluster does not fit or is lost.
     """
-    checked_time(method, 1.0, effort)
+    checked_time(method, None, effort)
     job = SolverJob(solver, solver.arm._to_whole(solver._start(start)), method, float(effort))
     return solutions(job, goals, client, workers)
 

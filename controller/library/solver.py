@@ -22,15 +22,7 @@ from hyperbit.controller.library.obstacles import Obstacle, build_obstacles
 from hyperbit.controller.library.path import Path
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.motion.plans.transitions import TransitionPlanner
-from hyperbit.controller.motion.plans.whole import (
-    PROOF_TIME,
-    WHOLE_TIME,
-    Means,
-    TipGoals,
-    plan_whole,
-    proof_means,
-    unhurried,
-)
+from hyperbit.controller.motion.plans.whole import plan_whole, proof_means, tip_goals, unhurried
 from hyperbit.controller.motion.stages.pacing import pace_of
 from hyperbit.controller.motion.trajectory import MOST_POINTS
 from hyperbit.controller.refusals.refusal import Refusal
@@ -38,8 +30,6 @@ from hyperbit.controller.search import solver as search
 from hyperbit.controller.search.method import METHODS, MINIMUM_SWITCH, Method
 from hyperbit.controller.search.search_time import TIMEOUT, SearchTime, search_effort, search_time
 from hyperbit.controller.search.solution import Solution
-
-GOAL_DEADLINE, PATH_DEADLINE = TIMEOUT, WHOLE_TIME
 
 Start: TypeAlias = "Configurations | Solution | Path | None"
 
@@ -123,7 +113,7 @@ class Solver:
         start: Start = None,
         *,
         method: Method = MINIMUM_SWITCH,
-        deadline: Number = GOAL_DEADLINE,
+        deadline: Number | None = None,
         effort: Number | None = None,
         missed: Number | None = None,
     ) -> Solution:
@@ -133,8 +123,8 @@ class Solver:
             goal: a goal, or a position of shape (dimension,).
             start: configuration (B,) as an array or text, or a solution or path whose end is the start; None: `home`.
             method: one of `METHODS`.
-            deadline: time for the search for fewest switches [s]. A goal that is not reached by then gets 1 s in all,
-                or the deadline if it is longer.
+            deadline: longest time of the search [s]; a proof ends it sooner. None: 0.05 s, and 1 s for a goal that is
+                not reached.
             effort: work for the search in place of `deadline`; one unit is about a millisecond of an ordinary computer.
                 The solution is then the same on every run. A goal that is not reached by then gets `missed` in all, or
                 the effort if it is more.
@@ -155,7 +145,7 @@ class Solver:
         start: Start = None,
         *,
         method: Method = MINIMUM_SWITCH,
-        deadline: Number = GOAL_DEADLINE,
+        deadline: Number | None = None,
         effort: Number | None = None,
         missed: Number | None = None,
     ) -> list[Solution]:
@@ -201,7 +191,6 @@ class Solver:
         path_tolerance: Number | None = None,
         method: Method = MINIMUM_SWITCH,
         deadline: Number | None = None,
-        path_deadline: Number = PATH_DEADLINE,
         prove: bool = False,
     ) -> Path:
         """Returns a path through goals.
@@ -214,31 +203,31 @@ class Solver:
             start: configuration (B,) as an array or text, or a solution or path whose end is the start; None: `home`.
             path_tolerance: greatest distance of the tip from the straight lines between the goals; None: no limit.
             method: one of `METHODS`.
-            deadline: average time for the search of each point [s]; None: 50 ms. With `prove`: time for the search over
-                the whole path; None: 60 s.
-            path_deadline: time for the search over the whole path [s]; the search for stages follows after it.
-            prove: whether the search over the whole path goes on until `deadline`, or until its lower bound meets the
-                cost. It uses all processors, and up to 1.6 GB.
+            deadline: longest time of planning the path [s]; a proof ends it sooner, and the search for stages follows
+                after it. None: up to 3 s for the first answers, and 4 s for the whole path, with `prove` 60 s.
+            prove: whether the search over the whole path uses all processors, and up to 1.6 GB.
 
         Raises:
             GoalError: there is no goal, a goal has another dimension than the arm, or a deadline is not positive.
             ConfigurationError: the start is no configuration of the arm.
             PathError: a goal is out of reach, or an obstacle blocks the path.
         """
-        point = GOAL_DEADLINE if deadline is None or prove else float(deadline)
-        whole = (PROOF_TIME if deadline is None else float(deadline)) if prove else float(path_deadline)
-        check_search(method, deadline=point, path_deadline=whole)
+        longest = checked_deadline(method, deadline)
         if not 1 <= len(goals) <= MOST_POINTS:
             raise GoalError(f"1 to {MOST_POINTS} goals are needed, got {len(goals)}")
         asked = self._all_with_tolerances(goals)
         before, pace = self._start(start), pace_of(self.arm._arm.settings)
         line = None if path_tolerance is None else float(path_tolerance)
+        if line is not None:
+            if any(math.isfinite(one.angle_tolerance) for one in asked):
+                raise GoalError("path_tolerance: lines are followed by position only, leave out orientations")
+            if not 1e-9 <= line <= 1e6:
+                raise GoalError(f"path_tolerance: a number from 1e-9 to 1e6 is needed, got {line!r}")
         try:
-            trajectory = unhurried(self._goals(asked, line), pace, line)
+            goals = tip_goals(((one.target, one.tolerance, one.angle_tolerance) for one in asked), self.arm.dimension)
+            trajectory = unhurried(goals, pace, line)
             planner = TransitionPlanner(self._search, trajectory, pace)
-            first = search_time(point * len(trajectory.times))
-            means = proof_means() if prove else Means()
-            found = plan_whole(planner, before, method, first, whole, means)
+            found = plan_whole(planner, before, method, longest, proof=proof_means() if prove else None)
         except Refusal as refusal:
             raise PathError(str(refusal)) from None
         solutions = tuple(self._whole(solution) for solution in found.solutions)
@@ -293,52 +282,39 @@ class Solver:
             self.arm.home if start is None else start.configuration if isinstance(start, Solution) else start
         )
 
-    def _goals(self, asked: Sequence[ToleratedGoal], path_tolerance: float | None) -> TipGoals:
-        """Returns goals as arrays."""
-        if path_tolerance is not None:
-            if any(math.isfinite(one.angle_tolerance) for one in asked):
-                raise GoalError("path_tolerance: lines are followed by position only, leave out orientations")
-            if not 1e-9 <= path_tolerance <= 1e6:
-                raise GoalError(f"path_tolerance: a number from 1e-9 to 1e6 is needed, got {path_tolerance!r}")
-        return TipGoals(
-            np.array([np.asarray(one.goal.position, dtype=float)[: self.arm.dimension] for one in asked]),
-            np.array([one.tolerance for one in asked]),
-            np.array([one.target[:3, :3] if one.target.shape == (4, 4) else np.eye(3) for one in asked]),
-            np.array([one.angle_tolerance for one in asked]),
-        )
-
     def _whole(self, found: Solution) -> Solution:
         """Returns a solution with its configuration in the numbering of the whole arm."""
         found.tip.flags.writeable = False
         return replace(found, configuration=self.arm._to_whole(found.configuration))
 
 
-def checked_time(method: str, deadline: Number, effort: Number | None, missed: Number | None = None) -> SearchTime:
+def checked_time(
+    method: str, deadline: Number | None, effort: Number | None, missed: Number | None = None
+) -> SearchTime:
     """Returns the time of the search for one goal, or its work if an effort is given, see Solver.solve.
 
     Raises:
         GoalError: there is no such method, or a number is not positive.
     """
+    longest = checked_deadline(method, deadline if effort is None else None)
     if effort is None:
-        check_search(method, deadline=deadline)
         if missed is not None:
             raise GoalError("missed: give effort as well, a search by time has a deadline")
-        return search_time(float(deadline))
-    check_search(method)
+        return search_time(TIMEOUT if longest is None else longest, deadline=longest)
     for name, value in (("effort", effort), ("missed", missed)):
         if value is not None and not 0 < value < math.inf:
             raise GoalError(f"{name}: a positive number is needed, got {value!r}")
     return search_effort(float(effort), None if missed is None else float(missed))
 
 
-def check_search(method: str, **deadlines: Number) -> None:
-    """Checks the method and the deadlines of a search, by the names of the arguments.
+def checked_deadline(method: str, deadline: Number | None) -> float | None:
+    """Returns the deadline of a search [s].
 
     Raises:
-        GoalError: there is no such method, or a deadline is not positive.
+        GoalError: there is no such method, or the deadline is not positive.
     """
     if method not in METHODS:
         raise GoalError(f"no method {method!r}; there are {', '.join(METHODS)}")
-    for name, value in deadlines.items():
-        if not 0 < value < math.inf:
-            raise GoalError(f"{name}: a positive number of seconds is needed, got {value!r}")
+    if deadline is not None and not 0 < deadline < math.inf:
+        raise GoalError(f"deadline: a positive number of seconds is needed, got {deadline!r}")
+    return None if deadline is None else float(deadline)

@@ -157,7 +157,6 @@ def calls(arm: hb.Arm, folder: Path) -> dict[Callable[..., Any], dict[str, Any]]
             "path_tolerance": None,
             "method": "minimum-switch",
             "deadline": 0.01,
-            "path_deadline": 0.01,
             "prove": False,
         },
         solver.contact: {"configuration": home},

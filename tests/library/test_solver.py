@@ -109,11 +109,11 @@ def test_paths_begin_where_the_last_ended(arm: hb.Arm, ik: hb.Solver) -> None:
     assert again.solutions[0].switches == arm.switches(before, again.configurations[0])
 
 
-@pytest.mark.parametrize("means", [{"path_deadline": DEADLINE}, {"deadline": DEADLINE, "prove": True}])
+@pytest.mark.parametrize("means", [{}, {"prove": True}])
 def test_paths_of_fewest_switches_are_proven(arm: hb.Arm, ik: hb.Solver, means: dict[str, Any]) -> None:
     rows = arm.sample(3, seed=4)
     goals = arm.frames(rows)[:, :2, 3]
-    path = ik.follow(list(goals), **means)
+    path = ik.follow(list(goals), deadline=DEADLINE, **means)
     states = np.array([arm.actuator_states(row) for row in EVERY]).astype(int)
     near = [np.linalg.norm(arm.frames(EVERY)[:, :2, 3] - goal, axis=1) <= arm.tolerance for goal in goals]
     costs, before = np.zeros(1), arm.actuator_states(arm.home).astype(int)[None]
@@ -125,10 +125,9 @@ def test_paths_of_fewest_switches_are_proven(arm: hb.Arm, ik: hb.Solver, means: 
     assert path.switches == path.cost == path.bound == path.lower_bound == costs.min()
 
 
-@pytest.mark.parametrize("name", ["deadline", "path_deadline"])
-def test_deadlines_of_paths_are_positive(arm: hb.Arm, ik: hb.Solver, name: str) -> None:
-    with pytest.raises(hb.GoalError, match=f"{name}: a positive number of seconds is needed, got 0"):
-        ik.follow([arm.position(arm.home)], **{name: 0})
+def test_deadlines_of_paths_are_positive(arm: hb.Arm, ik: hb.Solver) -> None:
+    with pytest.raises(hb.GoalError, match="deadline: a positive number of seconds is needed, got 0"):
+        ik.follow([arm.position(arm.home)], deadline=0)
 
 
 def test_lines_between_goals_are_followed(arm: hb.Arm) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.arm.weights import weights_of
@@ -16,7 +17,6 @@ from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.method import Method
 
 if TYPE_CHECKING:  # the search's kernels take a second to import
-    from hyperbit.controller.motion.plans.whole import TipGoals
     from hyperbit.controller.search.search_time import SearchTime
     from hyperbit.controller.search.solver import Solver
 
@@ -40,6 +40,10 @@ class GoalSearch(NamedTuple):
             return search_effort(self.options.effort)
         return search_time(TIMEOUT, self.arm.settings.planning.seconds_per_switch, self.options.deadline)
 
+    def asked(self, goal: WantedGoal) -> tuple[NDArray[np.float64], float, float]:
+        """Returns position or frame of a goal, and its tolerances; that of an orientation is infinite without one."""
+        return goal.target(), self.tolerance, np.inf if goal.orientation is None else self.angle_tolerance
+
 
 def prepared_search(arm: Arm, options: PlanOptions, *, silent: bool) -> GoalSearch:
     """Returns a search with the options; `silent` hides the progress bar."""
@@ -62,8 +66,7 @@ def described(search: GoalSearch, start: Configuration, configuration: Configura
 def search_one(search: GoalSearch, goal: WantedGoal, start: Configuration) -> PointSolution:
     """Returns the solution of a goal, searched from its own previous configuration, or from `start` (B,)."""
     own = start if goal.previous is None else goal.previous
-    angle_tolerance = np.inf if goal.orientation is None else search.angle_tolerance
-    target = search.solver.target(goal.target(), search.tolerance, angle_tolerance)
+    target = search.solver.target(*search.asked(goal))
     found = search.solver.solve(target, own, search.method, search.allowed)
     found = search.solver.explained(found, target, own, search.allowed)
     return PointSolution(goal.position, goal.orientation, found)
@@ -79,20 +82,17 @@ def follow(
     processes share the processors.
     """
     from hyperbit.controller.motion.plans.transitions import TransitionPlanner
-    from hyperbit.controller.motion.plans.whole import PROOF_TIME, Means, first_time, plan_whole, proof_means, unhurried
+    from hyperbit.controller.motion.plans.whole import plan_whole, proof_means, tip_goals, unhurried
     from hyperbit.controller.motion.stages.pacing import pace_of
-    from hyperbit.controller.search.search_time import search_time
 
     options, pace, planning = search.options, pace_of(search.arm.settings), search.arm.settings.planning
     start = start if goals[0].previous is None else goals[0].previous
     try:
-        trajectory = unhurried(as_arrays(search, goals), pace, options.path_tolerance)
+        asked = tip_goals((search.asked(goal) for goal in goals), search.arm.manipulator.dimension)
+        trajectory = unhurried(asked, pace, options.path_tolerance)
         planner = TransitionPlanner(search.solver, trajectory, pace)
-        first = search_time(first_time(trajectory), planning.seconds_per_switch, options.deadline)
-        whole_time, means = options.deadline, Means()
-        if options.prove:
-            whole_time, means = options.deadline or PROOF_TIME, proof_means(processes)
-        found = plan_whole(planner, start, search.method, first, whole_time, means)
+        proof = proof_means(processes) if options.prove else None
+        found = plan_whole(planner, start, search.method, options.deadline, planning.seconds_per_switch, proof)
     except Refusal as refusal:
         if options.path_tolerance is not None:
             raise CommandFailed(str(refusal)) from None
@@ -119,13 +119,3 @@ def trajectories(goals: Iterable[WantedGoal]) -> Iterator[list[WantedGoal]]:
         part.append(goal)
     if part:
         yield part
-
-
-def as_arrays(search: GoalSearch, goals: list[WantedGoal]) -> TipGoals:
-    """Returns goals as arrays with their tolerances; the orientation tolerance is infinite without an orientation."""
-    from hyperbit.controller.motion.plans.whole import TipGoals
-
-    positions = np.array([goal.position for goal in goals], dtype=np.float64)
-    rotations = [np.eye(3) if goal.orientation is None else goal.target()[:3, :3] for goal in goals]
-    turns = [np.inf if goal.orientation is None else search.angle_tolerance for goal in goals]
-    return TipGoals(positions, np.full(len(goals), search.tolerance), np.array(rotations), np.array(turns))

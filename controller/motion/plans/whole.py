@@ -1,7 +1,7 @@
 """Plans of whole trajectories, for `hyperbit plan`, the daemon's `plan` key and the library."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from hyperbit.controller.motion.plans.transitions import TransitionPlanner
 from hyperbit.controller.motion.stages.pacing import Pace
 from hyperbit.controller.motion.trajectory import MOST_POINTS, Trajectory, along
 from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
-from hyperbit.controller.search.search_time import TIMEOUT, SearchTime, search_time
+from hyperbit.controller.search.search_time import TIMEOUT, search_time
 
 FIRST_TIME, WHOLE_TIME = 3.0, 4.0  # [s]: most for the first answers of all points; for the search of the whole
 PROOF_TIME = 60.0  # [s] for the search of the whole if a proof is asked for
@@ -44,25 +44,49 @@ class TipGoals(NamedTuple):
     turns: Array  # tolerances of the orientations [rad], shape (n,); infinite where any orientation serves
 
 
+def tip_goals(goals: Iterable[tuple[Array, float, float]], dimension: int) -> TipGoals:
+    """Returns goals as arrays.
+
+    Each has a position (dimension,) or a frame (4, 4), the tolerance of the position, and that of the orientation
+    [rad], infinite without one.
+    """
+    targets, tolerances, turns = zip(*goals, strict=True)
+    framed = [target.ndim == 2 for target in targets]
+    positions = [it[:dimension, 3] if full else it for it, full in zip(targets, framed, strict=True)]
+    rotations = [it[:3, :3] if full else np.eye(3) for it, full in zip(targets, framed, strict=True)]
+    return TipGoals(np.array(positions), np.array(tolerances), np.array(rotations), np.array(turns))
+
+
 def plan_whole(
     planner: TransitionPlanner,
     previous: Configuration,
     method: Method,
-    first: SearchTime | None = None,
-    seconds: float | None = None,
-    means: Means = Means(),
+    deadline: float | None = None,
+    per_switch: float = 0.0,
+    proof: Means | None = None,
 ) -> TrajectoryPlan:
     """Returns the cheapest plan found from a configuration (B,): point by point first, then over the whole trajectory.
 
-    The whole trajectory is searched for `minimum-switch` only, for `seconds`; None: WHOLE_TIME. The time for the first
-    answers of all points is `first`; None: that of `first_time`.
+    The whole trajectory is searched for `minimum-switch` only.
+
+    Args:
+        planner: of the trajectory.
+        previous: the configuration.
+        method: search method.
+        deadline: longest time of planning [s]. None: that of the first answers, and WHOLE_TIME for the whole.
+        per_switch: see SearchTime; for the first answers.
+        proof: means of a search that goes on until its proof; then None of `deadline` is PROOF_TIME for the whole.
 
     Raises:
         Refusal: see `PointByPoint.plan`.
     """
-    allowed = search_time(first_time(planner.trajectory)) if first is None else first
+    clock = planner.solver.clock
+    began, allowed = clock.now(), search_time(first_time(planner.trajectory), per_switch, deadline)
     found = PointByPoint(planner, method, allowed).plan(previous)
-    return found if method != MINIMUM_SWITCH else look_ahead(planner, found, previous, seconds, means=means)
+    if method != MINIMUM_SWITCH:
+        return found
+    left = began + deadline - clock.now() if deadline is not None else WHOLE_TIME if proof is None else PROOF_TIME
+    return look_ahead(planner, found, previous, left, means=proof or Means())
 
 
 def first_time(trajectory: Trajectory) -> float:
@@ -74,19 +98,19 @@ def look_ahead(
     planner: TransitionPlanner,
     found: TrajectoryPlan,
     previous: Configuration,
-    seconds: float | None = None,
+    seconds: float,
     stop: Callable[[], bool] = lambda: False,
     means: Means = Means(),
 ) -> TrajectoryPlan:
     """Returns a plan from a configuration (B,) that costs at most as much as `found`, with the proven lower bound.
 
-    The search takes `seconds`, None: WHOLE_TIME, or ends if `stop` returns true. Staging its answer takes extra time.
+    The search takes `seconds`, or ends if `stop` returns true. Staging its answer takes extra time.
     """
     search = LabelSetting(planner.solver, list(planner.points), previous, stop, *means)
     search.offer(
         np.array([solution.configuration for solution in found.solutions]), found.cost, found.solutions[0].bound
     )
-    best = search.run(WHOLE_TIME if seconds is None else seconds)
+    best = search.run(seconds)
     better = found
     if best.configurations is not None and best.cost < found.cost:
         better = found.improved(planner, 0, list(best.configurations), previous)

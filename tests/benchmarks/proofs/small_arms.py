@@ -222,7 +222,7 @@ def followed(small: SmallArm, list_whole: bool, seconds: float) -> Answer:
     pace = Pace(0.1)
     planner = TransitionPlanner(solver, unhurried(goals, pace), pace)
     began = time.perf_counter()
-    found = plan_whole(planner, small.start, MINIMUM_SWITCH, seconds=seconds)
+    found = plan_whole(planner, small.start, MINIMUM_SWITCH, seconds)
     taken = time.perf_counter() - began
     for goal, solution in zip(path, found.solutions, strict=True):
         assert (small.served(goal) & (small.every == solution.configuration).all(axis=1)).any()

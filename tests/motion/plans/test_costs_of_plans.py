@@ -13,7 +13,7 @@ from hyperbit.controller.motion.plans import point_by_point
 from hyperbit.controller.motion.plans.plan import TrajectoryPlan
 from hyperbit.controller.motion.plans.point_by_point import PointByPoint
 from hyperbit.controller.motion.plans.transitions import TransitionPlanner
-from hyperbit.controller.motion.plans.whole import look_ahead, plan_whole
+from hyperbit.controller.motion.plans.whole import WHOLE_TIME, look_ahead, plan_whole
 from hyperbit.controller.motion.stages.pacing import Pace
 from hyperbit.controller.motion.trajectory import Trajectory, through
 from hyperbit.controller.obstacles.clearance import BodyClearance
@@ -86,14 +86,14 @@ def test_a_detour_is_counted_in_switches_and_cost_and_is_not_optimal(hinges: Sol
 
 def test_a_whole_plan_is_not_optimal_because_its_configurations_are(hinges: Solver) -> None:
     planner = TransitionPlanner(hinges, goals_at(HINGES, TURNED), Pace(0.06))
-    found = plan_whole(planner, FOLDED, "minimum-switch", search_time(PATIENT))
+    found = plan_whole(planner, FOLDED, "minimum-switch", per_switch=PATIENT)
     assert (found.switches, found.cost, found.bound, found.certificate) == (3, DETOUR, 2.0, "bound")
     assert found.solutions[0].proof() == found.proof()
 
 
 def test_a_detour_after_the_first_point_is_counted(hinges: Solver) -> None:
     goals = goals_at(HINGES, FOLDED, TURNED, TURNED)
-    found = plan_whole(TransitionPlanner(hinges, goals, Pace(0.06)), FOLDED, "minimum-switch", search_time(PATIENT))
+    found = plan_whole(TransitionPlanner(hinges, goals, Pace(0.06)), FOLDED, "minimum-switch", per_switch=PATIENT)
     assert [solution.switches for solution in found.solutions] == [0, 3, 0]
     assert [solution.certificate for solution in found.solutions] == ["optimal", "bound", "optimal"]
     assert (found.switches, found.cost, found.certificate) == (3, DETOUR, "bound")
@@ -134,7 +134,7 @@ def test_a_plan_is_what_it_says(trusses: Solver, seed: int, among: bool, inrush:
             found = PointByPoint(planner, "minimum-switch", search_time(SHORT)).plan(start)
     except Refusal:
         return
-    for each in (found, look_ahead(planner, found, start)):
+    for each in (found, look_ahead(planner, found, start, WHOLE_TIME)):
         before = start
         for k, (solution, counts) in enumerate(zip(each.solutions, carried_out(TRUSSES, start, each), strict=True)):
             assert solution.switches == counts.sum()

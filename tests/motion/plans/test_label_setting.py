@@ -203,9 +203,9 @@ def test_a_point_out_of_reach_in_the_middle_is_named_and_ends_no_search_in_an_er
         plan_whole(planner, np.zeros(16, dtype=np.int64), "minimum-switch")
 
 
-def test_with_a_deadline_of_0_the_first_plan_and_a_bound_are_given(arm, densities):
+def test_with_a_deadline_that_is_over_the_first_plan_and_a_bound_are_given(arm, densities):
     planner = TransitionPlanner(Solver(arm.manipulator, densities), through(np.arange(2.0), POINTS, 0.002))
-    found = plan_whole(planner, np.zeros(16, dtype=np.int64), "minimum-switch", seconds=0.0)
+    found = plan_whole(planner, np.zeros(16, dtype=np.int64), "minimum-switch", deadline=1e-9)
     assert all(solution.within_tolerance for solution in found.solutions)
     assert 0 < found.bound <= found.cost
 
