@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from hyperbit.drivers.canopen.boards.board import Board
 from hyperbit.drivers.canopen.boards.outputs import OutputLines
-from hyperbit.drivers.canopen.boot import configuration, pdo_search
+from hyperbit.drivers.canopen.boot import board_needs, pdo_search
 from hyperbit.drivers.canopen.boot.inspection import Inspection, inspect
 from hyperbit.drivers.canopen.boot.pdo_setup import set_up_pdos
 from hyperbit.drivers.canopen.boot.pdo_state import pdo_state
@@ -112,7 +112,7 @@ def _learn_state(boot: Boot) -> Procedure:
     board, it, timing = boot.board, boot.it, boot.it.timing
     period = boot.it.objects.values.get((0x1017, 0), 0) / 1000
     if it.guarded:
-        ours = not boot.it.objects.unmet(configuration.guarding(timing)) and not period
+        ours = not boot.it.objects.unmet(board_needs.guarding(timing)) and not period
         period = timing.heartbeat if ours else 0.0
         if ours and not board.guarded:
             board.guard()
@@ -183,9 +183,9 @@ def _enter_pre_operational(boot: Boot) -> Procedure:
     board, objects = boot.board, boot.it.objects
     if board.state is State.PRE_OPERATIONAL:
         return
-    stays = not configuration.leaves_operational(objects.values.get((0x1029, 1)))
+    stays = not board_needs.leaves_operational(objects.values.get((0x1029, 1)))
     unsure = board.state is State.OPERATIONAL and board.held is None and stays
-    if board.state is State.OPERATIONAL and (unmet := objects.unmet(configuration.hold_outputs(board.layout))):
+    if board.state is State.OPERATIONAL and (unmet := objects.unmet(board_needs.hold_outputs(board.layout))):
         before = {need.at: objects.values[need.at] for need in unmet}
         if unsure:
             yield from _settle(boot)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import dataclass, field
 
-from hyperbit.drivers.canopen.boot import configuration
+from hyperbit.drivers.canopen.boot import board_needs
 from hyperbit.drivers.canopen.boot.quirks import NONE, VENDORS, Quirk, quirk_of
 from hyperbit.drivers.canopen.layout import BoardLayout
 from hyperbit.drivers.canopen.pdo import INPUTS, OUTPUTS, Pdo, subs_of
@@ -61,13 +61,13 @@ def inspect(it: Inspection) -> Procedure:
     yield from _identify(it)
     yield from _check_type(it)
     yield from _supervision(it)
-    yield from _read(it, configuration.synchronisation() + configuration.emergencies(it.layout.node))
+    yield from _read(it, board_needs.synchronisation() + board_needs.emergencies(it.layout.node))
     if not it.synchronous and it.layout.outputs:
         it.warn("it has no 1005h sub 0 (COB-ID of SYNC): its outputs switch at once with their frame, not on SYNC")
     if it.layout.outputs:
         yield from _outputs(it)
     yield from _error_behaviour(it)
-    yield from _read(it, configuration.interrupts(it.layout))
+    yield from _read(it, board_needs.interrupts(it.layout))
     for k, each in enumerate(it.layout.watched):
         outcome = yield from it.objects.answered(Transfer(*each))
         if fault := unwatchable(it.name, *each, it.layout.watched_bits(k).bit_length() - 1, outcome):
@@ -80,7 +80,7 @@ def _identify(it: Inspection) -> Procedure:
     if vendor in VENDORS:
         product = yield from it.objects.find(0x1018, 2, 4)
     it.quirk = quirk_of(vendor, product)
-    yield from _read(it, configuration.identity(it.layout.settings))
+    yield from _read(it, board_needs.identity(it.layout.settings))
 
 
 def _check_type(it: Inspection) -> Procedure:
@@ -121,7 +121,7 @@ def _check_without_profile(it: Inspection, kind: int) -> Procedure:
 
 def _supervision(it: Inspection) -> Procedure:
     """Selects heartbeats, or node guarding if the board lacks 1016h or 1017h."""
-    beats, guard = configuration.heartbeats(it.timing, (yield from _entry(it))), configuration.guarding(it.timing)
+    beats, guard = board_needs.heartbeats(it.timing, (yield from _entry(it))), board_needs.guarding(it.timing)
     values = it.objects.values
     yield from _read(it, [*beats, guard[0]], [])
     if guard[0].at in values:
@@ -151,7 +151,7 @@ def _entry(it: Inspection) -> Generator[Step, SdoOutcome, int]:
 
 def _error_behaviour(it: Inspection) -> Procedure:
     """Reads 1029h. A board with an error mode needs it if its outputs must go off."""
-    lost = configuration.on_master_lost(it.layout, required=it.has_error_mode)
+    lost = board_needs.on_master_lost(it.layout, required=it.has_error_mode)
     yield from _read(it, [lost])
     if lost.at not in it.objects.values:
         it.warn(f"it has no {lost.place}; CiA 301 makes it enter pre-operational when the master is lost")
@@ -164,8 +164,8 @@ def _outputs(it: Inspection) -> Procedure:
     missing, places = f"error mode for its maker's object {layout.settings.object:04X}h", [(layout.settings.object, 0)]
     if layout.settings.object == OUTPUTS:
         missing, places = "6206h (error mode)", [(0x6206, sub) for sub in subs_of(layout.output_bits)]
-        yield from _read(it, configuration.polarity(layout) + configuration.filters(layout))
-        yield from _read(it, configuration.error_mode(layout, required=not goes_off), it.error_mode)
+        yield from _read(it, board_needs.polarity(layout) + board_needs.filters(layout))
+        yield from _read(it, board_needs.error_mode(layout, required=not goes_off), it.error_mode)
     if it.has_error_mode:
         return
     lacks = f"board {it.name} has no {missing}"

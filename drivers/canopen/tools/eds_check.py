@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from typing import NamedTuple
 
-from hyperbit.drivers.canopen.boot import configuration
+from hyperbit.drivers.canopen.boot import board_needs
 from hyperbit.drivers.canopen.boot.board_boot import configure
 from hyperbit.drivers.canopen.boot.inspection import Inspection, inspect
 from hyperbit.drivers.canopen.boot.pdo_search import find_pdos
@@ -93,7 +93,7 @@ class _Sheet(Dictionary):
         self._writable = set[Place]()  # entries that accept any value
         # The identity of the arm's file where the EDS has 0 or nothing: only the device has it.
         self._identity = {
-            need.at: need.value for need in configuration.identity(board.settings) if not eds.value(*need.at)
+            need.at: need.value for need in board_needs.identity(board.settings) if not eds.value(*need.at)
         }
 
     def transfer(self, step: Transfer | Ask) -> Generator[Step, SdoOutcome, SdoOutcome]:

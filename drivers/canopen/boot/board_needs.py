@@ -1,4 +1,4 @@
-"""The configuration of a board: the values of objects that a wiring needs (CiA 301, 7.5.2; CiA 401, 7)."""
+"""What a board must be configured to: the values of objects that a wiring needs (CiA 301, 7.5.2; CiA 401, 7)."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def identity(settings: NodeWiring) -> list[Need]:
 
 
 def synchronisation() -> list[Need]:
-    """SYNC, 1005h to 1007h and 1019h: sent on demand with the COB-ID 080h, without a counter and a window."""
+    """SYNC, 1005h to 1007h and 1019h: sent on demand with the COB-ID 080h, without a period, counter or window."""
     return [
-        Need(0x1006, 0, 0, 4, "period of SYNC"),  # SYNC comes on demand: a missing SYNC is no error
+        Need(0x1006, 0, 0, 4, "period of SYNC"),  # there is none: a missing SYNC is no error
         Need(0x1007, 0, 0, 4, "window after SYNC"),  # a board drops RPDOs that come after its window
         Need(0x1005, 0, 0, 4, "producing SYNC", mask=_PRODUCES),
         Need(0x1005, 0, _SYNC, 4, "COB-ID of SYNC", mask=0x7FFF_FFFF),
