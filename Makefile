@@ -9,7 +9,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # Robots and tests have the same versions.
 LOCK := deploy/versions.txt
 
-.PHONY: demo panel test page-test vm vm-test vcan-test ros2-test check bench fleet fuzz soak mutants lock wheels clean
+.PHONY: demo panel test long-test page-test vm vm-test vcan-test ros2-test check bench fleet fuzz soak mutants lock wheels clean
 
 demo: $(VENV)/kernels
 	$(BIN)/hyperbit demo
@@ -32,7 +32,11 @@ test-check: $(VENV)/installed
 # More processes than processors, because many tests wait. Tests in real time wait most, so that they run beside the others,
 # which yield the processors to them. BLAS has no threads to gain by.
 test-run: $(VENV)/installed
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --forks 5 --forks-beside 4 --durations 20 --ignore tests/browser $(ARGS)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --forks 5 --forks-beside 4 --durations 20 --ignore tests/browser -m "not long" $(ARGS)
+
+# Kills, studies in several processes, notebooks, the wheel: LONG in tests/conftest.py.
+long-test: $(VENV)/test-kernels
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --forks 3 --forks-beside 2 --durations 20 --ignore tests/browser -m long $(ARGS)
 
 # Prepares the virtual machine, so that its tests begin at once.
 vm: $(VENV)/installed

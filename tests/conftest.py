@@ -31,6 +31,21 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The program imports these late; the processes of the tests share them.
 LATE = ("scipy.optimize", "matplotlib.backends.backend_agg", "mpl_toolkits.mplot3d", "optuna")
+# What `make long-test` runs, and `make test` does not: each of these files takes 5 to 50 s of processor time.
+LONG = (
+    "calibration/test_calibration.py",
+    "commands/test_commission_pages.py",
+    "commands/test_first_arm.py",
+    "commands/test_study.py",
+    "deploy/test_wheel.py",
+    "design/test_workers.py",
+    "examples",
+    "library/test_notebooks.py",
+    "recorder/test_kills.py",
+    "recorder/test_regression.py",
+    "studies",
+    "system/faults/test_kills.py",
+)
 BUSES = ("virtual", "socketcan")
 pytest_plugins = ["tests.forks"]
 PAPER_ARM = Path(__file__).parents[1] / "deploy" / "planar16.yaml"
@@ -38,6 +53,13 @@ PAPER_ARM = Path(__file__).parents[1] / "deploy" / "planar16.yaml"
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--bus", choices=BUSES, help="the only bus for tests that run on several")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    long = [Path(__file__).parent / name for name in LONG]
+    for item in items:
+        if any(item.path.is_relative_to(path) for path in long):
+            item.add_marker("long")
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
