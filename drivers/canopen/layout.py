@@ -97,9 +97,8 @@ def lay_out(wiring: Wiring) -> Layout:
     groups = _groups({place: outputs[place] for place in wiring.boards if place in outputs}, wiring.shared_rpdo)
     actuators = _actuators(wiring)
 
-    sensed = sum(1 << k for k, c in enumerate(wiring.channels) if c.input is not None or c.input_contracted is not None)
-    for i, k in enumerate(wiring.paired):
-        sensed |= (sensed >> k & 1) << len(wiring.channels) + i
+    outputs_of = zip(wiring.channels, wiring.outputs_of, strict=True)
+    sensed = sum(lines for c, lines in outputs_of if c.input is not None or c.input_contracted is not None)
     boards: list[BoardLayout] = []
     for place in wiring.boards:
         settings = objects.get(place, NodeWiring(place.bus, place.node))

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple
 
 MASTER = 127  # node id of this master's heartbeat
-GREATEST_BIT = 2031  # of 6000h and 6200h: 254 sub-indices of 8 bits
 
 LINES = ("output", "output_off", "input", "input_contracted")  # fields of `Channel`
 
@@ -64,9 +62,6 @@ class Channel:
 
     An actuator with `output_off` has two outputs. At most one of them is on; while both are off, the actuator stays
     where it is. All its outputs are on one board. Its inputs may be on other boards, also of other buses.
-
-    Raises:
-        ValueError: a number is out of its range, or the fields contradict each other.
     """
 
     actuator: str  # label for messages, e.g. "5.left"
@@ -86,17 +81,6 @@ class Channel:
     on_loss: OnLoss | None = None  # None: as in `Wiring`
     input_board: BoardId | None = None  # of `input`; None: the board of the outputs
     input_contracted_board: BoardId | None = None  # likewise
-
-    def __post_init__(self) -> None:
-        for node in (self.node, *(board.node for board in (self.input_board, self.input_contracted_board) if board)):
-            if not 1 <= node < MASTER:
-                raise ValueError(f"actuator {self.actuator}: node {node} is not in 1..126 (127 is the master)")
-        for name in LINES:
-            bit = getattr(self, name)
-            if bit is not None and not 0 <= bit <= GREATEST_BIT:
-                raise ValueError(f"actuator {self.actuator}: {name} {bit} is not in 0..{GREATEST_BIT}")
-        if self.pulse is not None and self.output_off is None:
-            raise ValueError(f"actuator {self.actuator}: a pulse of {self.pulse:g} s needs output_off as well")
 
     @property
     def place(self) -> str:
@@ -140,7 +124,7 @@ class Interlock:
 
 @dataclass(frozen=True)
 class NodeWiring:
-    """The entry of one board in `boards.nodes` of the arm's file. Raises ValueError for a number out of range."""
+    """The entry of one board in `boards.nodes` of the arm's file."""
 
     bus: str
     node: int
@@ -152,10 +136,6 @@ class NodeWiring:
     error_state: ErrorState | None = None  # None: as in `Wiring`
     verify: bool = True  # a switch without end-stops counts only after its outputs were read back
 
-    def __post_init__(self) -> None:
-        if self.object != 0x6200 and not 0x2000 <= self.object <= 0x5FFF:
-            raise ValueError(f"board {self.bus}/{self.node}: object {self.object:04X}h is not 6200h or 2000h..5FFFh")
-
 
 @dataclass(frozen=True)
 class Wiring:
@@ -164,9 +144,8 @@ class Wiring:
     `error_state` says what outputs of boards without 6206h and 6207h do when the boards lose the master: they go "off",
     "hold", or do what the "device" is set to. With None such boards are refused.
 
-    Raises:
-        ValueError: a name, output, input or node occurs twice, a channel, node or interlock names an unknown bus, or an
-            actuator with pulses has on_loss "contract".
+    Who makes it has checked it, as the arm's file is checked: each number is in its range, each name is known, and
+    nothing is there twice.
     """
 
     buses: tuple[BusWiring, ...]
@@ -176,30 +155,6 @@ class Wiring:
     error_state: ErrorState | None = None
     nodes: tuple[NodeWiring, ...] = ()  # further settings of single boards
     interlocks: tuple[Interlock, ...] = ()  # bits that must be closed while anything moves
-
-    def __post_init__(self) -> None:
-        names = [bus.name for bus in self.buses]
-        _refuse_duplicates("bus", names)
-        for channel in self.channels:
-            for line in channel.lines.values():
-                if line.bus not in names:
-                    raise ValueError(f"actuator {channel.actuator}: bus {line.bus} is not one of {', '.join(names)}")
-            if channel.pulse is not None and (channel.on_loss or self.on_loss) == "contract":
-                raise ValueError(f"actuator {channel.actuator}: it has pulses, so it cannot contract on loss")
-        for lock in self.interlocks:
-            if lock.bus not in names:
-                raise ValueError(f"interlock {lock.name}: bus {lock.bus} is not one of {', '.join(names)}")
-        _refuse_duplicates("actuator", [c.actuator for c in self.channels])
-        _refuse_duplicates("interlock", [lock.name for lock in self.interlocks])
-        _refuse_duplicates("output", [f"{c.bus}/{c.node} output {c.bit}" for c in self.output_lines])
-        ends = [f"{c.bus}/{c.node} input {c.bit}" for c in self.input_lines if c is not None and c.watched is None]
-        _refuse_duplicates("input", ends + [lock.place for lock in self.interlocks if lock.watched is not None])
-        for node in self.nodes:
-            if node.bus not in names:
-                raise ValueError(f"board {node.bus}/{node.node}: bus {node.bus} is not one of {', '.join(names)}")
-        _refuse_duplicates("node", [f"{node.bus}/{node.node}" for node in self.nodes])
-        if self.on_loss not in ("hold", "contract"):
-            raise ValueError(f"on_loss is {self.on_loss!r}, not 'hold' or 'contract'")
 
     @cached_property
     def boards(self) -> tuple[BoardId, ...]:
@@ -219,6 +174,12 @@ class Wiring:
         return tuple(k for k, channel in enumerate(self.channels) if channel.input_contracted is not None)
 
     @cached_property
+    def outputs_of(self) -> tuple[int, ...]:
+        """The output lines of each actuator as a mask: its `output`, and its `output_off` if it has one."""
+        second = {k: 1 << len(self.channels) + i for i, k in enumerate(self.paired)}
+        return tuple(1 << k | second.get(k, 0) for k in range(len(self.channels)))
+
+    @cached_property
     def output_lines(self) -> tuple[BoardLine, ...]:
         """All outputs: the `output` of each of the A actuators, then each `output_off` in the order of `paired`."""
         return tuple(line for line in (*self._of_all("output"), *self._of_all("output_off")) if line is not None)
@@ -235,18 +196,24 @@ class Wiring:
         return range(len(self.input_lines) - len(self.interlocks), len(self.input_lines))
 
     @cached_property
+    def contracting(self) -> tuple[int, ...]:
+        """Indices of the actuators that their boards contract when they lose the master."""
+        told = [(k, it.on_loss or self.on_loss) for k, it in enumerate(self.channels) if it.pulse is None]
+        return tuple(k for k, on_loss in told if on_loss == "contract")
+
+    @cached_property
     def loss_levels(self) -> tuple[int | None, ...]:
         """The level that each output line takes when its board loses the master; None: it keeps its level.
 
         Lines of actuators with pulses go off: otherwise a running pulse would not end.
         """
-        pairs = [self.channels[k] for k in self.paired]
-        return tuple(self._loss_level(c, 0) for c in self.channels) + tuple(self._loss_level(c, 1) for c in pairs)
-
-    def _loss_level(self, channel: Channel, contracting: int) -> int | None:
-        if channel.pulse is not None:
-            return 0
-        return contracting if (channel.on_loss or self.on_loss) == "contract" else None
+        first: list[int | None] = [None if it.pulse is None else 0 for it in self.channels]
+        second = [first[k] for k in self.paired]
+        for k in self.contracting:
+            first[k] = 0
+            if k in self.paired:
+                second[self.paired.index(k)] = 1
+        return (*first, *second)
 
     def _of_all(self, name: str) -> list[BoardLine | None]:
         return [channel.line(name) for channel in self.channels]
@@ -254,7 +221,7 @@ class Wiring:
 
 @dataclass(frozen=True)
 class Timing:
-    """Times of boards and actuators, all in [s]. Raises ValueError if a time is out of its range."""
+    """Times of boards and actuators, all in [s]; checked as the wiring is."""
 
     heartbeat: float = 0.1  # period of the boards (1017h) and of the master
     # a board silent for this long is lost; the boards get the same for the master (1016h)
@@ -262,16 +229,6 @@ class Timing:
     boot_timeout: float = 3.0  # longest time that boards need to boot, and to become operational
     travel_time: float = 0.05  # longest time of an actuator from end to end
     settle_margin: float = 0.03  # added to the travel time before the measured state is compared with the commanded one
-
-    def __post_init__(self) -> None:
-        if not 0.001 <= self.heartbeat < self.heartbeat_timeout <= 65.535:
-            raise ValueError(
-                f"heartbeat {self.heartbeat} s and heartbeat_timeout {self.heartbeat_timeout} s:"
-                " the first must be at least 0.001 and less than the second, the second at most 65.535"
-            )
-        for name in ("boot_timeout", "travel_time", "settle_margin"):
-            if not getattr(self, name) >= 0.0:
-                raise ValueError(f"{name} is {getattr(self, name)} s, not 0 or more")
 
 
 LATE = 0.011  # [s], a period of the master's ticks and what timers add
@@ -283,9 +240,3 @@ def next_due(due: float, period: float, now: float) -> float:
     It keeps its phase, so that ticks which are a little late do not add up.
     """
     return (due if now <= due + LATE else now) + period
-
-
-def _refuse_duplicates(what: str, names: list[str]) -> None:
-    duplicates = [name for name, times in Counter(names).items() if times > 1]
-    if duplicates:
-        raise ValueError(f"{what} {duplicates[0]} is there twice")

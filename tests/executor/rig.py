@@ -90,7 +90,7 @@ def small_arm(
     buses = tuple(BusWiring(name, "virtual", name) for name in names)
     wiring = Wiring(buses, channels, on_loss=on_loss, interlocks=interlocks, nodes=nodes)
     timing = Timing(travel_time=TRAVEL, settle_margin=margin)
-    return ExecutedArm("small", LABELS, wiring, timing, digest="d" * 64, **fields)
+    return ExecutedArm("small", wiring, timing, digest="d" * 64, **fields)
 
 
 def _packed(fields: dict[str, Any]) -> dict[str, Any]:

@@ -89,7 +89,7 @@ class World:
 
     def __init__(self, kind: Kind = MODULE, **wiring: Any) -> None:
         self.now = 50.0
-        self.arm = ExecutedArm("second", LABELS, Wiring((BUS,), CHANNELS, **wiring), TIMING, digest="d" * 64)
+        self.arm = ExecutedArm("second", Wiring((BUS,), CHANNELS, **wiring), TIMING, digest="d" * 64)
         self.changes: list[tuple[str, Change]] = []
         self.journal = SwitchJournal(SIZE)
         self.core: Executor | None = None

@@ -2,6 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from hyperbit.controller.armfile.actuators import ending_time, longest_travel, read_wired, travel_times
@@ -32,7 +33,6 @@ class ExecutedArm:
     """An arm of A actuators. Actuator k is bit k of integers of states and of masks."""
 
     name: str
-    actuators: tuple[str, ...]  # labels, shape (A,)
     wiring: Wiring
     timing: Timing
     inrush: int | None = None  # most actuators that may switch at once; None: no limit
@@ -46,6 +46,11 @@ class ExecutedArm:
     real_time: RealTimeSettings | None = None
     uncommissioned: str | None = field(default=None, compare=False)  # which actuators nobody has commissioned, in words
     digest: str = ""  # SHA-256 of the file, in hexadecimal
+
+    @cached_property
+    def actuators(self) -> tuple[str, ...]:
+        """Their labels, shape (A,)."""
+        return tuple(channel.actuator for channel in self.wiring.channels)
 
     @property
     def most(self) -> int:
@@ -69,7 +74,6 @@ def read_arm(path: Path) -> ExecutedArm:
                     raise InputFaults(path, [f"{where}: {it.bit}, but {misfit}"]) from None
     return ExecutedArm(
         name=settings.name,
-        actuators=actuators,
         wiring=wiring,
         timing=timing_of(settings),
         inrush=settings.inrush,

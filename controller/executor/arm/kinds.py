@@ -54,7 +54,7 @@ class Kinds:
     def __init__(self, wiring: Wiring, timing: Timing) -> None:
         channels, self._size = wiring.channels, len(wiring.channels)
         self.everything = (1 << self._size) - 1
-        self._pairs, self._ended = wiring.paired, wiring.ended
+        self._pairs, self._ended, self._outputs_of = wiring.paired, wiring.ended, wiring.outputs_of
         self.paired = mask_of(self._pairs)
         self.pulse = {k: channel.pulse for k, channel in enumerate(channels) if channel.pulse is not None}
         self.pulsed = mask_of(self.pulse)
@@ -128,5 +128,4 @@ class Kinds:
         return [self.interlocks[i] for i in indices((known & ~inputs) >> self._first_interlock)]
 
     def _off_lines(self, actuators: int) -> int:
-        lines = self._size
-        return sum(1 << lines + i for i, k in enumerate(self._pairs) if actuators >> k & 1)
+        return sum(self._outputs_of[k] for k in indices(actuators & self.paired)) & ~self.everything

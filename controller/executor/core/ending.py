@@ -24,9 +24,6 @@ class Ending:
         self._arm, self._motion, self._locked, self._modes, self._act = arm, motion, locked, modes, act
         self._contracting = self._pulsing = False
         self._stream: SetpointStream | None = None  # contracts the arm; None before its start
-        levels, pairs = arm.wiring.loss_levels, dict(enumerate(arm.wiring.paired, len(arm.actuators)))
-        self._let_go = sum(levels[k] == 0 and k not in pairs.values() for k in range(len(arm.actuators)))
-        self._let_go += sum(levels[line] == 1 for line in pairs)
 
     @property
     def over(self) -> bool:
@@ -39,7 +36,7 @@ class Ending:
 
     def warning(self) -> str | None:
         """Returns a sentence on what the boards do after the executor has ended; None if they hold."""
-        count = self._let_go
+        count = len(self._arm.wiring.contracting)
         if not count or self._arm.contract_on_stop:
             return None
         which = f"all {count} actuators" if count == len(self._arm.actuators) else f"{count} actuators"

@@ -40,11 +40,10 @@ class Master:
     """
 
     def __init__(self, wiring: Wiring, timing: Timing, send: Callable[[str, Frame], None]) -> None:
-        layout, channels = lay_out(wiring), wiring.channels
+        layout = lay_out(wiring)
         self.board_of, self.input_boards_of = layout.board_of, layout.input_boards_of
-        pulsed = sum(
-            1 << k | 1 << len(channels) + i for i, k in enumerate(wiring.paired) if channels[k].pulse is not None
-        )
+        outputs_of = zip(wiring.channels, wiring.outputs_of, strict=True)
+        pulsed = sum(lines for channel, lines in outputs_of if channel.pulse is not None)
         self._timing, self._clock = timing, LoopClock()
         self._log, self._image, self._outputs = FaultLog(), StateImage(), OutputLines(layout, pulsed)
         stuck_after = 0.8 * (timing.heartbeat_timeout - timing.heartbeat)  # before the boards lose the master

@@ -124,7 +124,6 @@ def _expected(arm: ExecutedArm) -> ExecutedArm:
     buses = tuple(replace(bus, interface="virtual") for bus in wiring.buses)
     return replace(
         arm,
-        actuators=tuple(channel.actuator for channel in channels),
         wiring=replace(wiring, buses=buses, channels=tuple(channels)),
         timing=replace(timing, travel_time=longest),
         locked_states=arm.locked_states & arm.locked,

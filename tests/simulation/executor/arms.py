@@ -90,7 +90,6 @@ def draw_arm(random: Random, whole: bool = False) -> ExecutedArm:
     locked = locked if random.random() < 0.4 and locked != (1 << count) - 1 else 0
     return ExecutedArm(
         name="simulated",
-        actuators=tuple(channel.actuator for channel in channels),
         wiring=wiring,
         timing=timing,
         inrush=random.choice([None, None, 2, 3] if whole else [None, 1, 2, 3]),

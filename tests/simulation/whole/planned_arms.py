@@ -32,7 +32,6 @@ def draw_planned_arm(random: Random, drawn: ExecutedArm) -> tuple[ExecutedArm, A
     locked = drawn.locked if contracts(modules, drawn.locked) else 0
     executed = replace(
         drawn,
-        actuators=labels,
         wiring=replace(drawn.wiring, channels=tuple(channels)),
         locked=locked,
         locked_states=locked,
