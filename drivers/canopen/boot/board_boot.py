@@ -224,12 +224,13 @@ def _await_operational(boot: Boot) -> Procedure:
         yield from _configure(boot)
     if (yield Wait(up.until, timeout)).data is None:
         seen = "no heartbeat came" if board.state is None else f"it is {board.state.words}"
-        text = f"board {board.name} did not become operational within {timeout:g} s; {seen}"
+        code, text = "board-stopped", f"board {board.name} did not become operational within {timeout:g} s; {seen}"
         if board.state is not State.STOPPED:
             found = yield from errors.read(boot.it.objects, boot.it.quirk.ignored_errors)
             if found.register:
                 text += f"; {found.words(board.emergency)}. {remedy(board.name)}"
-        boot.it.objects.refuse("board-stopped", text)
+                code = code if found.lost(board.emergency) else "board-error"
+        boot.it.objects.refuse(code, text)
 
 
 def _set_error_mode(boot: Boot) -> Procedure:
