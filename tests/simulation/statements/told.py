@@ -37,10 +37,12 @@ class SnapshotsAreTrue(Statement):
         super().__init__(account)
         self._booted_at = -math.inf
 
+    def steps(self) -> None:
+        if self.account.mode == "starting":  # also before anybody is connected
+            self._booted_at = self.account.now
+
     def says(self, message: Up) -> None:
         account = self.account
-        if isinstance(message, Snapshot) and message.mode == "starting":
-            self._booted_at = account.now
         if not isinstance(message, Snapshot) or message.mode not in ("ready", "executing") or not account.clear:
             return
         measured, known, arm = unpack(message.measured), unpack(message.known), account.arm
