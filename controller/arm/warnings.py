@@ -3,15 +3,17 @@
 import statistics
 
 import numpy as np
+from msgspec import to_builtins
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.actuators import travel_times
-from hyperbit.controller.armfile.choices import degrees_hint
-from hyperbit.controller.armfile.modules import PrismaticSettings, RevoluteSettings, TransformsSettings, chain, places
-from hyperbit.controller.armfile.places import place
+from hyperbit.controller.armfile.choices import RADIANS, degrees_hint
+from hyperbit.controller.armfile.modules import places
+from hyperbit.controller.armfile.places import path_text, place
 from hyperbit.controller.armfile.settings import ArmSettings, BoxSettings
 from hyperbit.controller.armfile.strict import fault_list
 from hyperbit.controller.armfile.terminals import actuator_bits
+from hyperbit.controller.armfile.units import numbers_of
 from hyperbit.controller.manipulator.module import Module
 
 BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)  # of CiA 301 [bit/s]
@@ -90,27 +92,10 @@ def length_warnings(arm: Arm) -> list[str]:
 
 def angle_warnings(settings: ArmSettings) -> list[str]:
     """Returns a warning for each angle that is likely to be in degrees."""
-    found: dict[str, object] = {"base.orientation": settings.base.orientation}
-    found["tolerance.orientation"] = settings.tolerance.orientation
-    if settings.tip is not None:
-        found["tip.orientation"] = settings.tip.orientation
-    for path, repetition, group in chain(settings.modules):
-        if repetition > 1:
-            continue
-        if isinstance(group, RevoluteSettings):
-            found |= {f"{path}.angles[{k}]": angle for k, angle in enumerate(group.angles or ())}
-            pairs = enumerate(group.cylinders or ())
-            found |= {f"{path}.cylinders[{k}][{j}]": a for k, pair in pairs for j, a in enumerate(pair)}
-        if isinstance(group, RevoluteSettings | PrismaticSettings):
-            found[f"{path}.link.orientation"] = group.link.orientation
-        if isinstance(group, TransformsSettings):
-            found |= {f"{path}.states[{k}].orientation": it.orientation for k, it in enumerate(group.states or ())}
-    boxes = ((k, obstacle.box) for k, obstacle in enumerate(settings.obstacles))
-    found |= {f"obstacles[{k}].box.angle": box.angle for k, box in boxes if box is not None}
     return [
-        f"{path}: {angle:g} rad are more than three quarters of a turn{degrees_hint(angle)}"
-        for path, angle in found.items()
-        if isinstance(angle, float) and abs(angle) > LARGEST_USUAL_ANGLE
+        f"{path_text(keys)}: {angle:g} rad are more than three quarters of a turn{degrees_hint(angle)}"
+        for keys, angle, unit in numbers_of(ArmSettings, to_builtins(settings))
+        if unit == RADIANS and abs(angle) > LARGEST_USUAL_ANGLE
     ]
 
 

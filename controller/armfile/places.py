@@ -24,6 +24,11 @@ class PlacedFault(NamedTuple):
     line: int | None
 
 
+def path_text(keys: Sequence[str | int]) -> str:
+    """Returns the path of keys and indices from the top of a file, such as modules[0].link.position[1]."""
+    return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).removeprefix(".")
+
+
 @contextlib.contextmanager
 def placed_faults(path: Path) -> Iterator[None]:
     """Adds the lines of a YAML file to the faults that are raised in this context.

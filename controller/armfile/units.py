@@ -1,10 +1,14 @@
-"""Units of length: what an arm's file may name, and what its lengths are in metres."""
+"""Units: which numbers of an arm's file have one, what the file may name, and what its lengths are in metres."""
 
 import math
-from collections.abc import Mapping
-from typing import Literal, get_args
+from collections.abc import Iterator, Mapping
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin
 
-from hyperbit.controller.armfile.choices import LENGTH, NUMBER, UNITS
+from msgspec.inspect import is_struct_type
+from msgspec.structs import fields
+
+from hyperbit.controller.armfile.choices import LENGTH, NUMBER, UNITS, description_of
 
 Unit = Literal["m", "cm", "mm", "in"]
 NAMES: tuple[Unit, ...] = get_args(Unit)
@@ -53,3 +57,25 @@ def value_in(text: str, known: Mapping[str, float]) -> float | None:
         return None
     value = float(match[1]) * known[match[2]]
     return value if math.isfinite(value) else None
+
+
+def numbers_of(kind: Any, value: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[Any, float, str]]:
+    """Yields each number with a unit: its place, its value and the description of its type, such as RADIANS.
+
+    Args:
+        kind: type of the value, as a field of the file has it.
+        value: as plain sequences, dictionaries and numbers.
+        place: keys and indices of the value.
+    """
+    if isinstance(value, float | int):
+        if unit := description_of(kind):
+            yield place, value, unit
+        return
+    for member in get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,):
+        member = getattr(member, "__origin__", member) if hasattr(member, "__metadata__") else member
+        if isinstance(value, list | tuple) and get_origin(member) in (list, tuple):
+            for k, part in enumerate(value):
+                yield from numbers_of(get_args(member)[0], part, (*place, k))
+        elif isinstance(value, dict) and is_struct_type(member) and value.get("type") == member.__struct_config__.tag:
+            for it in fields(member):
+                yield from numbers_of(it.type, value.get(it.name), (*place, it.name))

@@ -1,8 +1,8 @@
 """The numbers of an arm's file that calibration changes, with prior standard deviations.
 
-They are the numbers of the modules' geometry, of the base, and of the tip if the file has one. Modules of one entry
-share their parameters, also in the repetitions of a group. The axes of joints do not change; the link behind a joint
-may turn instead.
+They are the numbers of modules that have a unit, and those of the base and of the tip if the file has one. Modules of
+one entry share their parameters, also in the repetitions of a group. The axes of joints do not change; the link behind
+a joint may turn instead.
 """
 
 import copy
@@ -18,9 +18,11 @@ from numpy.typing import ArrayLike
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.arm.saving import frame_fields
-from hyperbit.controller.armfile.modules import ChainEntry, GroupSettings, chain, places
+from hyperbit.controller.armfile.choices import RADIANS
+from hyperbit.controller.armfile.modules import ChainEntry, GroupSettings, ModuleSettings, chain, places
 from hyperbit.controller.armfile.names import shortened
-from hyperbit.controller.armfile.places import counted
+from hyperbit.controller.armfile.places import counted, path_text
+from hyperbit.controller.armfile.units import numbers_of
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.manipulator.frames import Frame
 from hyperbit.controller.manipulator.vgt import ACTUATORS
@@ -52,7 +54,7 @@ class Parameter:
 
     @property
     def path(self) -> str:
-        path = "".join(map(key_text, self.where))[1:]
+        path = path_text(self.where)
         return path if self.axis is None else f"{path} about {'xyz'[self.axis]}"
 
 
@@ -120,11 +122,11 @@ def parameters(description: Description, length: float, modules: int) -> tuple[P
         found += of_frame(("tip",), description["tip"], LENGTHS * length / modules, ANGLES)
     for where, entry in entries_of(description).items():
         size = LENGTHS * length / modules
-        for name in ("width", "lengths", "base", "top", "angles", "cylinders"):
-            turns = entry["type"] == "revolute" and name != "width"
-            found += [
-                Parameter(leaf, ANGLES if turns else size) for leaf in leaves((*where, name), entry.get(name) or [])
-            ]
+        own = {name: value for name, value in entry.items() if name not in ("link", "states")}
+        found += [
+            Parameter(place, ANGLES if unit == RADIANS else size)
+            for place, _, unit in numbers_of(ModuleSettings, own, where)
+        ]
         if "link" in entry:
             found += of_frame((*where, "link"), entry["link"], size, ANGLES)
         for k, state in enumerate(entry.get("states", [])):
@@ -165,7 +167,7 @@ def chosen_parameters(every: Sequence[Parameter], parts: Sequence[str] | None) -
     found = {part: [it for it in every if within(counted(it.path), part)] for part in parts}
     for part, own in found.items():
         if not own:
-            known = dict.fromkeys(counted("".join(key_text(key) for key in it.part)[1:]) for it in every)
+            known = dict.fromkeys(counted(path_text(it.part)) for it in every)
             raise ValueError(f"{part!r} has no numbers to fit; parts are {shortened(list(known))}")
     named = {it for own in found.values() for it in own}
     return tuple(it for it in every if it.part == ("base",) or it in named)
@@ -176,24 +178,11 @@ def within(path: str, part: str) -> bool:
     return path.startswith(part) and path[len(part) : len(part) + 1] in ("", ".", "[", " ")
 
 
-def key_text(key: Key) -> str:
-    return f"[{key}]" if isinstance(key, int) else f".{key}"
-
-
 def of_frame(where: tuple[Key, ...], frame: Description, length: float, angle: float) -> Iterator[Parameter]:
     """Yields the parameters of a frame: coordinates and an angle, or coordinates and three rotations."""
-    yield from (Parameter(leaf, length) for leaf in leaves((*where, "position"), frame["position"]))
+    yield from (Parameter((*where, "position", k), length) for k in range(len(frame["position"])))
     axes: list[int | None] = [0, 1, 2] if isinstance(frame["orientation"], list) else [None]
     yield from (Parameter((*where, "orientation"), angle, axis) for axis in axes)
-
-
-def leaves(where: tuple[Key, ...], value: Any) -> Iterator[tuple[Key, ...]]:
-    """Yields the places of all numbers in a value."""
-    if isinstance(value, (int, float)):
-        yield where
-    else:
-        for key, part in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from leaves((*where, key), part)
 
 
 def value_at(description: Description, where: Sequence[Key]) -> Any:
