@@ -107,20 +107,11 @@ class PlayedExecutor(ABC):
             self.send(Settled(program.program, states.mark, at, self.state.known, switches, 1, True))
 
     def end(self, program: Program, status: Any = "done", message: str = "done", **fields: Any) -> Ended:
+        """Ends a program; `fields` are those of Ended that differ from what the program asked for."""
         self._results += 1
-        ended = Ended(
-            self._results,
-            program.program,
-            program.context,
-            status,
-            message,
-            fields.get("mark", program.stages[-1].mark),
-            fields.get("switches", 1),
-            fields.get("measured", self.state.measured),
-            self.state.known,
-            fields.get("travels", ()),
-            fields.get("verified", True),
-        )
+        usual = {"mark": program.stages[-1].mark, "switches": 1, "travels": (), "verified": True}
+        usual |= {"measured": self.state.measured, "known": self.state.known}
+        ended = Ended(self._results, program.program, program.context, status, message, **{**usual, **fields})
         self.send(ended)
         self.show(mode="ready", reason=f"holding; {program.name} ended", program=-1)
         return ended
