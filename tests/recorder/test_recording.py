@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 
 from hyperbit.controller.host.files import MOST_ASIDE
 from hyperbit.controller.recorder.recording import LogClock, Recording
@@ -137,3 +138,16 @@ def test_log_times_are_unix_times_that_no_step_of_the_clock_reorders() -> None:
         assert clock.step() == pytest.approx((to - begun) / 1e9, abs=60.0)
     now = time.monotonic_ns()
     assert clock.at(now + 5) - clock.at(now + 3) == 2
+
+
+def test_messages_of_a_channel_without_a_schema_survive(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("a", "json", 0)
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    path.write_bytes(path.read_bytes()[:-8])
+    assert repair(path).messages == 1
+    assert read(path) == read_by_another(path)
