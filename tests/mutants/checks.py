@@ -35,7 +35,7 @@ TESTS = {
     "controller/gateway": ("tests/gateway", "tests/planning"),
     "controller/motion": ("tests/motion", "tests/planning"),
     "controller/network": ("tests/network", "tests/gateway"),
-    "controller/obstacles": ("tests/obstacles", "tests/motion"),
+    "controller/obstacles": ("tests/obstacles", "tests/motion", "tests/library"),
     "controller/panel": ("tests/panel",),
     "controller/planning": ("tests/planning", "tests/gateway"),
     "controller/planning/core": ("tests/planning", "tests/fuzz"),
