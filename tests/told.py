@@ -5,6 +5,9 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
+from msgspec import to_builtins
+from msgspec.structs import replace
+
 from hyperbit.controller.arm.arm import Arm, load
 from hyperbit.controller.arm.description import description, drawing, file
 from hyperbit.controller.manipulator.notation import format_configuration, pose
@@ -85,7 +88,7 @@ def _described(name: str) -> str:
 
 def _written(whole: Arm) -> str:
     rest = {"limits": [], "sent_obstacles": [], "poses": [], "running": None, "daemon": {"host": "robot", "pid": 1}}
-    return json.dumps({**description(whole), "drawing": drawing(whole), "file": file(whole), **rest})
+    return json.dumps(to_builtins(replace(description(whole), drawing=drawing(whole), file=file(whole))) | rest)
 
 
 def state(which: str | Arm = "planar16", configuration: Sequence[int] = (), /, **fields: Any) -> Message:

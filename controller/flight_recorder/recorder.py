@@ -21,6 +21,8 @@ from pathlib import Path
 from types import FunctionType, MappingProxyType, MethodType
 from typing import IO, Any, NamedTuple
 
+from msgspec import UnsetType
+
 from hyperbit.controller.host.keeper import LENGTH, SHARED, RefusedFile, ring_paths, start_keeper
 
 log = logging.getLogger(__name__)
@@ -30,7 +32,7 @@ MOST = 20_000  # events of a generation; then the next one begins, even without 
 ENDING = 1.0  # [s] for the end of the keeper
 # What a pickle of events may contain: classes of these modules, which only hold data and compute.
 PURE = re.compile(
-    r"hyperbit\.controller\.(armfile\.settings|host\.process|program(\.\w+)?"
+    r"hyperbit\.controller\.(armfile\.settings|host\.process|messages\.(arm|goals|parts|state)|program(\.\w+)?"
     r"|(manipulator|motion(\.\w+)?|obstacles|planning\.core|refusals)\.\w+)"
     r"|hyperbit\.controller\.executor\.(arm|core|motion)\.\w+"
     r"|hyperbit\.drivers\.canopen\.((boards|boot|run|sdo)\.\w+|faults|layout|pdo|status|wiring|wire\.(cia301|events|link))"
@@ -247,6 +249,7 @@ def reducers(opaque: Mapping[type, str], outside: Mapping[str, object]) -> dict[
     table: dict[type, Callable[[Any], Any]] = dict(copyreg.dispatch_table)
     table[MethodType] = lambda method: (method_of, (method.__self__, method.__name__))
     table[MappingProxyType] = lambda mapping: (dict, (dict(mapping),))
+    table[UnsetType] = lambda unset: (UnsetType, ())  # by its name, pickle would look for it in all modules
     table |= {type(it): by_name for it in outside.values()}
     return table | {kind: without(field) for kind, field in opaque.items()}
 

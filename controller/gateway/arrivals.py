@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
 
-from hyperbit.controller.planning.core.events import Payload
+from hyperbit.controller.messages.goals import Answer
 
 MOST_AT_ONCE = 20  # refusals a second without pauses; only these give a reason, which takes a hundred times as long
 PAUSE_EVERY, PAUSE = 10, 0.002  # number of further requests for each pause, and its length [s]
@@ -21,7 +21,7 @@ REMEMBERED = 60.0  # [s] after the last answer; clients repeat a request for a f
 FORGET_EVERY = 1.0  # [s]
 MOST = 1_000  # keys of goals remembered
 
-Reply = Callable[[Payload], None]  # must not wait
+Reply = Callable[[Answer], None]  # must not wait
 
 
 class Clocks(NamedTuple):
@@ -75,7 +75,7 @@ class ArrivedGoal:
     keys: list[bytes]  # that identify a repetition
     at: float  # time of its last message [s]
     replies: deque[Reply] = field(default_factory=deque)  # waiting for the answer
-    answer: Payload | None = None
+    answer: Answer | None = None
     ended: bool = False  # no result will follow
 
     def await_answer(self, reply: Reply) -> None:
@@ -87,8 +87,8 @@ class ArrivedGoal:
         self.replies.append(reply)
         self.reply()
 
-    def store_answer(self, answer: Payload) -> None:
-        self.answer, self.ended = answer, self.ended or not answer.get("accepted")
+    def store_answer(self, answer: Answer) -> None:
+        self.answer, self.ended = answer, self.ended or not answer.accepted
         self.reply()
 
     def reply(self) -> None:
@@ -139,11 +139,11 @@ class RepeatedGoals:
     def ended(self, goal: str | None) -> None:
         """Forgets the payload of a goal that has ended. For the thread that gives the answers."""
         for known in set(self.known.copy().values()):
-            if known.answer is not None and known.answer.get("id") == goal:
+            if known.answer is not None and known.answer.id == goal:
                 known.ended = True
                 self._forget_payload(known)
 
-    def _answered(self, goal: ArrivedGoal, answer: Payload) -> None:
+    def _answered(self, goal: ArrivedGoal, answer: Answer) -> None:
         """Gives an answer; forgets goals that ended long ago, and the oldest ones above MOST."""
         goal.at = self._clock()
         goal.store_answer(answer)

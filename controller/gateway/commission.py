@@ -10,17 +10,20 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import msgspec
 import zenoh
+from msgspec.structs import astuple, replace
 
 from hyperbit.controller.armfile.settings import ArmSettings
 from hyperbit.controller.commission.driver import Commissioner, NoDriver
 from hyperbit.controller.commission.questions import Questions, late_answer
 from hyperbit.controller.decoding.decoding import Unreadable, decode
 from hyperbit.controller.gateway.claim import Claim
-from hyperbit.controller.planning.core.events import Payload, done, refused
+from hyperbit.controller.messages.arm import Daemon, WiredArm
+from hyperbit.controller.messages.goals import Answer, done, refused
+from hyperbit.controller.messages.state import Fault, State
 from hyperbit.controller.program import unpack
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
@@ -79,28 +82,30 @@ def publish_states(it: Served, publish: Callable[[bytes], None], ended: threadin
         it.questions.changed.wait(STATE_EVERY)
         it.questions.changed.clear()
         publish(msgspec.json.encode(state(it)))
-    last = {**state(it), "mode": "unknown", "reason": "the commission has ended"}
-    publish(msgspec.json.encode(last))
+    publish(msgspec.json.encode(replace(state(it), mode="unknown", reason="the commission has ended")))
 
 
-def state(it: Served) -> Payload:
-    """Returns the payload of `state`. No position is told: nobody has seen yet which output moves what."""
+def state(it: Served) -> State:
+    """Returns `state`. No position is told: nobody has seen yet which output moves what."""
     at, count = it.driver.snapshot, len(it.labels)
-    told: dict[str, Any] = {"mode": "starting", "reason": "waits for the executor", "commanded": None, "measured": None}
-    if at is not None:
-        bits = unpack(at.outputs)
-        told = {"mode": at.mode, "reason": at.reason, "measured": [None] * count}
-        told["commanded"] = [bits >> k & 1 for k in range(count)]
-    return {
-        "stamp": time.time(),
-        "simulated": it.driver.simulated,
-        **told,
-        **dict.fromkeys(("configuration", "tip", "goal", "waypoint", "target", "progress")),
-        "faults": [] if at is None else [msgspec.structs.asdict(one) for one in at.faults],
-        **{name: [] for name in ("degraded", "homing", "unread")},
-        **dict.fromkeys(("obstacles", "poses"), 0),
-        "commission": it.questions.payload(),
-    }
+    told = State(
+        stamp=time.time(),
+        mode="starting",
+        reason="waits for the executor",
+        simulated=it.driver.simulated,
+        commission=it.questions.payload(),
+    )
+    if at is None:
+        return told
+    bits = unpack(at.outputs)
+    return replace(
+        told,
+        mode=at.mode,
+        reason=at.reason,
+        measured=[None] * count,
+        commanded=[bits >> k & 1 for k in range(count)],
+        faults=[Fault(*astuple(fault)) for fault in at.faults],
+    )
 
 
 def answer_query(it: Served, prefix: str, key: str, query: zenoh.Query) -> None:
@@ -108,7 +113,9 @@ def answer_query(it: Served, prefix: str, key: str, query: zenoh.Query) -> None:
     with query:
         given = str(query.key_expr)
         if given != f"{prefix}/{key}" and key != "arm" and not (key in ENDING and given.endswith(f"/{key}")):
-            answer = refused(Refusal(Reason.NOT_NAMED, key=key, name=f"{prefix}/{key}", given=given[:200]))
+            answer: Answer | WiredArm = refused(
+                Refusal(Reason.NOT_NAMED, key=key, name=f"{prefix}/{key}", given=given[:200])
+            )
         elif key == "arm":
             answer = description(it)
         elif key == "answer":
@@ -120,7 +127,7 @@ def answer_query(it: Served, prefix: str, key: str, query: zenoh.Query) -> None:
         query.reply(f"{prefix}/{key}", msgspec.json.encode(answer), encoding=JSON)
 
 
-def take_answer(questions: Questions, query: zenoh.Query) -> Payload:
+def take_answer(questions: Questions, query: zenoh.Query) -> Answer:
     data, request = ((part.to_bytes() if part is not None else b"") for part in (query.payload, query.attachment))
     try:
         if len(data) > MOST_BYTES:
@@ -140,7 +147,7 @@ def hear_put(it: Served, key: str, sample: zenoh.Sample) -> None:
     end_motion(it, key)
 
 
-def end_motion(it: Served, key: str) -> Payload:
+def end_motion(it: Served, key: str) -> Answer:
     """Stops the arm, or ends its trial; the answer comes when nothing switches any more."""
     try:
         answer = it.driver.stop() if key == "stop" else it.driver.cancel("canceled")
@@ -149,14 +156,12 @@ def end_motion(it: Served, key: str) -> Payload:
     return done(answer.message) if answer.refused is None else refused(answer.refused.refusal)
 
 
-def description(it: Served) -> dict[str, Any]:
+def description(it: Served) -> WiredArm:
     """Returns the answer to `arm`, as far as the wiring tells."""
-    empty: dict[str, list[Any]] = {name: [] for name in ("poses", "obstacles", "sent_obstacles")}
-    return {
-        "name": it.settings.name,
-        "unit": it.settings.unit,
-        "actuators": list(it.labels),
-        "simulated": it.driver.simulated,
-        "daemon": {"host": socket.gethostname(), "pid": os.getpid()},
-        **empty,
-    }
+    return WiredArm(
+        name=it.settings.name,
+        unit=it.settings.unit,
+        actuators=list(it.labels),
+        simulated=it.driver.simulated,
+        daemon=Daemon(socket.gethostname(), os.getpid()),
+    )

@@ -12,11 +12,14 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 import zenoh
+from msgspec import Struct
+from msgspec.structs import replace
 
+from hyperbit.controller.messages.arm import Description
+from hyperbit.controller.messages.goals import Answer, Ending, Feedback, Note, Result, internal_error
+from hyperbit.controller.messages.state import Diagnostics, State
 from hyperbit.controller.network.session import LEASE
-from hyperbit.controller.planning.core.events import Identity, Payload, Published, PublishResult, refused
-from hyperbit.controller.refusals.reasons import Reason
-from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.planning.core.events import Identity, Published, PublishResult
 
 log = logging.getLogger(__name__)
 
@@ -31,8 +34,8 @@ PUBLISHED = {"result": zenoh.CongestionControl.BLOCK} | dict.fromkeys(
 LATEST = ("state", "diagnostics")  # only the latest waits
 JSON = zenoh.Encoding.APPLICATION_JSON
 
-# A message: a query's reply, or None to publish; then its key and payload.
-Item = tuple[zenoh.Query | PublishResult | None, str, Payload]
+# A message: a query's reply, or None to publish; then its key and content.
+Item = tuple[zenoh.Query | PublishResult | None, str, Struct]
 
 
 class Outbox:
@@ -56,7 +59,7 @@ class Outbox:
         session: zenoh.Session,
         prefix: str,  # of all keys, "hyperbit/<arm>"
         ended: Callable[[str | None], None],  # takes the id of a goal, before its result is published
-        mark: Callable[[Identity, Payload], None],  # marks a result durably, before its put
+        mark: Callable[[Identity, Result], None],  # marks a result durably, before its put
         post: Callable[[Published], None],
         fatal: Callable[[str], None],
         lease: float = LEASE,  # of the session [s]
@@ -68,7 +71,7 @@ class Outbox:
         self._reached_from = clock() + RECONNECTED  # time at which clients have reconnected [s]
         # Any thread appends, only the thread of the outbox takes. Both are atomic.
         self._first, self._second, self._inherited = deque[Item](), deque[Item](), deque[Item]()
-        self._latest = dict[str, Payload]()
+        self._latest = dict[str, Struct]()
         self._put_results = deque[tuple[float, int]]()  # departure [s] and number of each result
         self._wake: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._full = self._closing = False
@@ -82,13 +85,17 @@ class Outbox:
     def start(self) -> None:  # without the thread, the caller sends queued messages by `step`
         self._thread.start()
 
-    def publish(self, key: Literal["state", "diagnostics", "feedback", "result", "@request"], payload: Payload) -> None:
+    def publish(
+        self,
+        key: Literal["state", "diagnostics", "feedback", "result", "@request"],
+        message: State | Diagnostics | Feedback | Ending | Note,
+    ) -> None:
         """Publishes on a key. A `state` or `diagnostics` replaces the one that waits; a `result` is a put's refusal."""
         if key in LATEST:
-            self._latest[key] = {**payload, "poses": self._poses} if key == "state" else payload
+            self._latest[key] = replace(message, poses=self._poses) if isinstance(message, State) else message
             self._wake_up()
         else:
-            self._put(self._first if key == "feedback" else self._second, (None, key, payload))
+            self._put(self._first if key == "feedback" else self._second, (None, key, message))
 
     def count_poses_change(self) -> None:  # a new number in `state` makes clients read the poses
         self._poses += 1
@@ -99,8 +106,9 @@ class Outbox:
         If the process is killed in between, clients may have the result or not. Therefore the next process publishes
         it again, with the field `repeated`.
         """
-        self._ended(result.payload.get("id"))
-        self._put(self._inherited if result.inherited else self._first, (result, "result", result.payload), needed=True)
+        self._ended(result.result.id)
+        lane = self._inherited if result.inherited else self._first
+        self._put(lane, (result, "result", result.result), needed=True)
 
     def recorded(self) -> bool:
         try:
@@ -108,9 +116,9 @@ class Outbox:
         except zenoh.ZError:  # the session is closed
             return False
 
-    def answer(self, query: zenoh.Query, key: str, payload: Payload) -> None:
-        carried_out = key in COMMANDS and payload.get("accepted") is True
-        self._put(self._first if carried_out else self._second, (query, key, payload))
+    def answer(self, query: zenoh.Query, key: str, answer: Answer | Description) -> None:
+        carried_out = key in COMMANDS and isinstance(answer, Answer) and answer.accepted
+        self._put(self._first if carried_out else self._second, (query, key, answer))
 
     def waiting(self) -> int:
         return len(self._first) + len(self._second) + len(self._inherited)
@@ -185,12 +193,12 @@ class Outbox:
         self.last_reading = now
         return now < self.wait_until
 
-    def _send(self, target: zenoh.Query | PublishResult | None, key: str, payload: Payload) -> None:
-        if key == "diagnostics":
-            payload = {**payload, "queues": {**payload.get("queues", {}), "outbox": self.waiting()}}
-        data = encoded(payload)
+    def _send(self, target: zenoh.Query | PublishResult | None, key: str, message: Struct) -> None:
+        if isinstance(message, Diagnostics):
+            message = replace(message, queues={**message.queues, "outbox": self.waiting()})
+        data = encoded(message)
         if isinstance(target, PublishResult):
-            self._mark(target.identity, msgspec.json.decode(data))
+            self._mark(target.identity, target.result)
         try:
             if target is None or isinstance(target, PublishResult):
                 self.publishers[key].put(data)
@@ -204,15 +212,15 @@ class Outbox:
             self._put_results.append((self._clock() + SENT_WITHIN, target.number))
 
 
-def encoded(payload: Payload) -> bytes:
-    """Returns a payload as JSON; non-finite numbers become null. Of an unencodable payload: id and status."""
+def encoded(message: Struct) -> bytes:
+    """Returns a message as JSON; non-finite numbers become null. Of an unencodable message: id and status."""
     try:
-        return msgspec.json.encode(payload, enc_hook=plain)
+        return msgspec.json.encode(message, enc_hook=plain)
     except Exception:
-        log.exception("a payload cannot be encoded as JSON: %r", payload)
-        fields = {name: value for name in ("id", "status") if isinstance(value := payload.get(name), str)}
-        fields = {name: value.encode(errors="backslashreplace").decode() for name, value in fields.items()}
-        return msgspec.json.encode({**refused(Refusal(Reason.INTERNAL_ERROR)), **fields})
+        log.exception("a message cannot be encoded as JSON: %r", message)
+        names = {name: value for name in ("id", "status") if isinstance(value := getattr(message, name, None), str)}
+        names = {name: value.encode(errors="backslashreplace").decode() for name, value in names.items()}
+        return msgspec.json.encode({**msgspec.to_builtins(internal_error()), **names})
 
 
 def plain(value: object) -> Any:

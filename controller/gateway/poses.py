@@ -11,8 +11,9 @@ from msgspec import Meta, Struct
 
 from hyperbit.controller.host.files import read_kept
 from hyperbit.controller.host.keeper import write_whole
+from hyperbit.controller.messages.arm import NamedPose
+from hyperbit.controller.messages.goals import Answer, done
 from hyperbit.controller.motion.decoding.payloads import parse
-from hyperbit.controller.planning.core.events import Payload, done
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 
@@ -42,13 +43,13 @@ class Poses:
         self._home: SavedGoal = {"waypoints": [{"configuration": home}]}
         self._saved = read_kept(path, dict[Name, SavedGoal], "its poses are not known") or {}
 
-    def listed(self) -> list[Payload]:
-        """Returns all poses, home first, the others by name, each with its `name` and `goal`."""
+    def listed(self) -> list[NamedPose]:
+        """Returns all poses, home first, the others by name, each with its goal."""
         with self._lock:
             every = {HOME: self._home, **dict(sorted(self._saved.items()))}
-        return [{"name": name, "goal": goal} for name, goal in every.items()]
+        return [NamedPose(name, goal) for name, goal in every.items()]
 
-    def change(self, message: PosesMessage) -> Payload:
+    def change(self, message: PosesMessage) -> Answer:
         with self._lock:
             saved = dict(self._saved)
             if message.save is not None and message.goal is not None:

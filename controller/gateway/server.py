@@ -5,7 +5,7 @@ import logging
 import os
 import socket
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -13,16 +13,19 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import msgspec
 import zenoh
+from msgspec import structs
 from zenoh.handlers import Callback
 
 from hyperbit.controller.decoding.decoding import Unreadable, decode
-from hyperbit.controller.gateway.arrivals import Clocks, FloodBrake, Rate, RepeatedGoals, Reply, keys_of
+from hyperbit.controller.gateway.arrivals import Clocks, FloodBrake, Rate, RepeatedGoals, keys_of
 from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses, decode_poses
+from hyperbit.controller.messages.arm import Daemon, Description
+from hyperbit.controller.messages.goals import Answer, Ending, LedgerAnswer, Note, internal_error, refused
 from hyperbit.controller.motion.decoding.goal import GoalMessage, Undecodable
 from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.planning.core import events
-from hyperbit.controller.planning.core.events import Payload, done, refused
+from hyperbit.controller.planning.core.events import LiveArm
 from hyperbit.controller.planning.loop import Mailbox
 from hyperbit.controller.planning.planner import Planner
 from hyperbit.controller.refusals.reasons import Reason
@@ -45,12 +48,15 @@ Command = Literal["stop", "cancel", "reset", "goal", "jog", "degrade", "obstacle
 ServedKey = Command | Literal["plan", "arm", "result"]
 
 
+Deliver = Callable[[Answer | Description], None]  # must not wait
+
+
 class GatewayParts(NamedTuple):  # parts that answer the requests of one arm
     planner: Planner
     outbox: Outbox
     goals: RepeatedGoals
     poses: Poses
-    find: Callable[[str], Payload | None]  # returns the ledger's row of a goal, if there is one; raises sqlite3.Error
+    find: Callable[[str], Mapping[str, Any] | None]  # returns the ledger's row of a goal; raises sqlite3.Error
     clocks: Clocks = Clocks()
 
 
@@ -108,14 +114,15 @@ class Server:
 
         self._subscribe(name, put)
 
-    def _publish_refusal(self, answer: Payload) -> None:
+    def _publish_refusal(self, answer: Answer | Description) -> None:
         """Publishes the answer to a put on `result` if it is a refusal, at most MOST_REFUSALS in a second."""
-        if answer["accepted"]:
+        if isinstance(answer, Description) or answer.accepted:
             return
         if self._refusals.admits():
-            self._outbox.publish("result", {"id": None, "status": "refused", **answer})
+            fields = {name: value for name, value in structs.asdict(answer).items() if name != "homing"}
+            self._outbox.publish("result", Ending(status="refused", **{"id": None, **fields}))
         elif self._logged_refusals.admits():
-            log.warning("more than %d puts in a second are refused: %s", MOST_REFUSALS, answer["message"])
+            log.warning("more than %d puts in a second are refused: %s", MOST_REFUSALS, answer.message)
 
 
 class ResultQuery(msgspec.Struct, forbid_unknown_fields=True):
@@ -128,7 +135,7 @@ class Received:
     arrival: events.Arrival
     payload: bytes
     number: bytes  # that the client attached; empty if none
-    deliver: Reply  # sends the answer
+    deliver: Deliver  # sends the answer
     stamp: float  # [UNIX s]
 
 
@@ -143,7 +150,7 @@ class Way:
         self._brake, self._notes = FloodBrake(clock, pause), Rate(MOST_NOTES, clock)
         self._unanswered = set[Received]()  # a request is removed once, atomically
 
-    def receive(self, it: zenoh.Query | zenoh.Sample, deliver: Reply) -> None:
+    def receive(self, it: zenoh.Query | zenoh.Sample, deliver: Deliver) -> None:
         place = self._planner.loop.arrive()
         payload, attachment, stamp = content(it.payload), content(it.attachment), self._clocks.wall()
         received = Received(str(it.key_expr), place, payload, attachment, deliver, stamp)
@@ -154,7 +161,7 @@ class Way:
             self._answer(received, refused(refusal))
         except Exception:
             log.exception("a request on %s failed", self._key)
-            self._answer(received, refused(Refusal(Reason.INTERNAL_ERROR)))
+            self._answer(received, internal_error())
         self._brake.slow_down()
 
     def _request(self, received: Received) -> None:
@@ -191,9 +198,9 @@ class Way:
             self._check_named(received.name, named=True)
         unread = message.unread if isinstance(message, events.CancelMessage) else ""
 
-        def reply(answer: Payload) -> None:
+        def reply(answer: Answer) -> None:
             note = f"; everything was to be canceled, because the payload cannot be read: {unread}" if unread else ""
-            self._answer(received, {**answer, "message": f"{answer['message']}{note}"} if note else answer)
+            self._answer(received, structs.replace(answer, message=f"{answer.message}{note}") if note else answer)
 
         request = self._planner.loop.request
         if key == "goal" and isinstance(message, GoalMessage):
@@ -210,10 +217,13 @@ class Way:
             parts = []
         static = self._planner.description(parts)
 
-        def answer(live: Payload) -> None:
-            live = {name: value for name, value in live.items() if name != "running" or name in parts}
-            daemon = {"host": socket.gethostname(), "pid": os.getpid()}
-            self._answer(received, {**static, **live, "poses": self._poses.listed(), "daemon": daemon})
+        def answer(live: Answer | LiveArm) -> None:
+            if isinstance(live, Answer):  # a refusal
+                self._answer(received, live)
+                return
+            fields = {name: value for name, value in live._asdict().items() if name != "running" or name in parts}
+            daemon = Daemon(socket.gethostname(), os.getpid())
+            self._answer(received, structs.replace(static, **fields, poses=self._poses.listed(), daemon=daemon))
 
         self._planner.loop.request(received.arrival, "arm", None, answer)
 
@@ -227,9 +237,9 @@ class Way:
         if row is None:
             raise Refusal(Reason.UNKNOWN_GOAL, goal=goal)
         ended = row["ended"] is not None
-        result = {"id": goal, **{name: row[name] for name in LEDGER_FIELDS}} if ended else None
-        told = done("the goal has ended" if ended else "the goal has no result yet")
-        self._answer(received, {**told, "result": result})
+        result = Ending(id=goal, **{name: row[name] for name in LEDGER_FIELDS}) if ended else None
+        message = "the goal has ended" if ended else "the goal has no result yet"
+        self._answer(received, LedgerAnswer(accepted=True, message=message, result=result))
 
     def _check_named(self, name: str, *, named: bool) -> None:
         """Raises Refusal if a key expression does not match the key, or is a wildcard though `named` forbids it."""
@@ -237,31 +247,32 @@ class Way:
             return
         raise Refusal(Reason.NOT_NAMED, key=self._key, name=self.name, given=name[:200])
 
-    def _answer(self, received: Received, answer: Payload) -> None:
+    def _answer(self, received: Received, answer: Answer | Description) -> None:
         """Answers a request that has no answer yet, and publishes a note for a listening recorder."""
         try:
             self._unanswered.remove(received)
         except KeyError:
             return
         received.deliver(answer)
-        accepted = answer.get("accepted") is not False
-        if not accepted:
+        if isinstance(answer, Description):
+            return
+        if not answer.accepted:
             self._brake.refused.add()
-        if self._key != "arm" and self._outbox.recorded() and (accepted or self._notes.admits()):
-            stamped = {"stamp": received.stamp, "key": self._key}
-            self._outbox.publish("@request", {**stamped, **noted_content(received.payload), "answer": answer})
+        if self._key != "arm" and self._outbox.recorded() and (answer.accepted or self._notes.admits()):
+            self._outbox.publish("@request", noted(received.stamp, self._key, received.payload, answer))
 
 
 def content(payload: zenoh.ZBytes | None) -> bytes:
     return b"" if payload is None else payload.to_bytes()
 
 
-def noted_content(payload: bytes) -> dict[str, Any]:
-    """Returns the unchanged `payload`, null if it is empty; for a payload that is no JSON also its `text`."""
+def noted(stamp: float, key: str, payload: bytes, answer: Answer) -> Note:
+    """Returns the note on a request with its unchanged payload, None if it is empty; or the text that is no JSON."""
+    note = Note(stamp=stamp, key=key, answer=answer)
     if not payload:
-        return {"payload": None}
+        return note
     try:
         decode(payload)
     except Unreadable:
-        return {"payload": None, "text": payload[:MOST_TEXT].decode(errors="replace")}
-    return {"payload": msgspec.Raw(payload)}
+        return structs.replace(note, text=payload[:MOST_TEXT].decode(errors="replace"))
+    return structs.replace(note, payload=msgspec.Raw(payload))

@@ -49,9 +49,9 @@ def fields_of_mode(mode: str) -> dict[str, str]:
     return {"MESSAGE_ID": message_id(f"mode-{mode}"), "HYPERBIT_MODE": mode}
 
 
-def fields_of_result(payload: Mapping[str, object]) -> dict[str, str]:
-    shown = {f"HYPERBIT_{name}": str(payload.get(name.lower())) for name in ("STATUS", "CODE")}
-    return {"MESSAGE_ID": message_id(f"goal-{payload.get('status')}"), "HYPERBIT_GOAL": str(payload.get("id")), **shown}
+def fields_of_result(goal: str, status: str, code: int) -> dict[str, str]:
+    fields = {"HYPERBIT_GOAL": goal, "HYPERBIT_STATUS": status, "HYPERBIT_CODE": str(code)}
+    return {"MESSAGE_ID": message_id(f"goal-{status}"), **fields}
 
 
 def fields_of_refusal(goal: str, reason: str, code: int) -> dict[str, str]:

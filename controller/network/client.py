@@ -17,7 +17,9 @@ import zenoh
 from msgspec import Struct
 
 from hyperbit.controller.decoding.decoding import Unreadable
-from hyperbit.controller.network.messages import Answer, Description, Message, UnreadCount, filled, read
+from hyperbit.controller.messages.arm import Description
+from hyperbit.controller.messages.goals import Answer
+from hyperbit.controller.messages.reading import Message, UnreadCount, filled, read
 
 # Attempts until a reply comes, and the first pause between them [s]; the last attempt uses a new session.
 TRIES, PAUSE = 4, 0.1

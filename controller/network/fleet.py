@@ -13,7 +13,7 @@ from typing import NamedTuple
 import zenoh
 
 from hyperbit.controller.decoding.decoding import Unreadable
-from hyperbit.controller.network.messages import Message, filled, read
+from hyperbit.controller.messages.reading import Message, filled, read
 
 # All arms: of the session's own namespace, and of namespaces below it. No key matches both.
 OWN, BELOW = "hyperbit/*", "*/**/hyperbit/*"

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import zenoh
 
 from hyperbit.controller.decoding.decoding import Unreadable
+from hyperbit.controller.messages.goals import Answer
+from hyperbit.controller.messages.reading import Message, read
 from hyperbit.controller.network.fleet import PLACES, ArmAddress, address_of, alive
-from hyperbit.controller.network.messages import Answer, Message, read
 
 FIRST_WAIT, LONGEST_WAIT = 0.1, 1.0  # [s] until silent arms are asked again
 ROUNDS = 2  # least number: the second round finds arms that started during the first

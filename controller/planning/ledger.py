@@ -15,17 +15,18 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 
 from hyperbit.controller.decoding.decoding import Unreadable, decode
 from hyperbit.controller.host.files import read_file
 from hyperbit.controller.host.keeper import lock_file
+from hyperbit.controller.messages.goals import Result
 from hyperbit.controller.planning.core.events import Identity, Record, ResultEntry
 from hyperbit.controller.planning.ledger_file import MOST_GOALS, LedgerFile, counted, damaged, owed, plain
 from hyperbit.controller.program import Fault
@@ -196,10 +197,9 @@ class PublishedResults:
         """Returns the marked results by program; their times are unknown."""
         return {identity: ResultEntry(0.0, *mark[2:]) for identity, mark in self._marks.items()}
 
-    def add(self, identity: Identity, payload: Mapping[str, Any]) -> None:
+    def add(self, identity: Identity, result: Result) -> None:
         """Marks a result, in about 10 us. If the file cannot be written, the mark is in memory only."""
-        words = plain(str(payload.get("message", "")))
-        mark = Mark(*identity, payload.get("status", ""), payload.get("code", 0), words, payload.get("switches", 0))
+        mark = Mark(*identity, result.status, result.code, plain(result.message), result.switches)
         self._marks[identity] = mark
         if len(self._marks) > 2 * MOST_MARKS:
             self._marks = dict(list(self._marks.items())[-MOST_MARKS:])

@@ -6,11 +6,13 @@ import math
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 from hyperbit.controller.flight_recorder import FlightRecorder
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.host.process import Log, Notify, Quit
+from hyperbit.controller.messages.goals import Feedback, refused
+from hyperbit.controller.messages.state import Diagnostics, State
 from hyperbit.controller.planning.core import events
 from hyperbit.controller.planning.core.core import Core
 from hyperbit.controller.planning.core.requests import CANCELED
@@ -34,11 +36,13 @@ LAST_RESULTS = 1.5  # [s] for the core and the executor to end the running goal
 STILL = 1.0  # [s] without a round of the loop, after which the process counts as having stood still
 SETTLES = 1.0  # [s] after a standstill, until all messages sent meanwhile have arrived
 
-OnReply = Callable[[events.Payload], None]
+OnReply = Callable[[Any], None]  # takes an `Answer`; of a request on `arm`, a `LiveArm`
 
 
 class Out(Protocol):  # no method waits
-    def publish(self, key: Literal["state", "diagnostics", "feedback"], payload: events.Payload) -> None: ...
+    def publish(
+        self, key: Literal["state", "diagnostics", "feedback"], message: State | Diagnostics | Feedback
+    ) -> None: ...
 
     def publish_result(self, result: events.PublishResult) -> None: ...  # notes it, and posts `Published`
 
@@ -126,7 +130,7 @@ class Loop:
         if self.thread.ident is not None:
             self.thread.join(timeout)
         for number in list(self.replies):
-            self._carry_out(events.Reply(number, events.refused(Refusal(Reason.SHUTTING_DOWN))))
+            self._carry_out(events.Reply(number, refused(Refusal(Reason.SHUTTING_DOWN))))
         self._link.close()
 
     def arrive(self) -> events.Arrival:
@@ -272,13 +276,13 @@ class Loop:
                 self._workers.start(number, task)
             case events.ToExecutor(message):
                 self._link.send(message)
-            case events.Reply(number, payload):
+            case events.Reply(number, answer):
                 if (reply := self.replies.pop(number, None)) is not None:
-                    reply(payload)
+                    reply(answer)
                 else:
                     log.error("request %d is not known, or was answered before", number)
-            case events.Publish(key, payload):
-                services.out.publish(key, payload)
+            case events.Publish(key, published):
+                services.out.publish(key, published)
             case events.PublishResult():
                 services.out.publish_result(action)
             case events.Record():

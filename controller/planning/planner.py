@@ -2,16 +2,19 @@
 
 import contextlib
 import uuid
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 
 import msgspec
 import numpy as np
+from msgspec import UNSET
+from msgspec.structs import replace
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.arm.description import density, description, drawing, file
 from hyperbit.controller.arm.weights import weights_of
 from hyperbit.controller.decoding.decoding import decode
 from hyperbit.controller.flight_recorder import FlightRecorder
+from hyperbit.controller.messages.arm import Description
 from hyperbit.controller.motion.decoding import payloads
 from hyperbit.controller.motion.decoding.goal import Id, check_reach, parse
 from hyperbit.controller.motion.decoding.requests import decode_degrade, decode_fault, decode_jog, decode_obstacles
@@ -33,14 +36,14 @@ class Planner:  # for any thread
         self.loop, self.decoder = loop, RequestDecoder(arm)
         self._arm, self._densities, self._description = arm, densities, description(arm)
 
-    def description(self, wanted: Collection[str] = ()) -> events.Payload:
-        """Returns the constant parts of the payload of `arm`, with those `wanted`: drawing, file, density."""
-        made: dict[str, Callable[[], events.Payload | None]] = {
-            "drawing": lambda: drawing(self._arm),
-            "file": lambda: file(self._arm),
-            "density": lambda: density(self._densities, planar=self._arm.manipulator.planar),
-        }
-        return {**self._description, **{name: make() for name, make in made.items() if name in wanted}}
+    def description(self, wanted: Collection[str] = ()) -> Description:
+        """Returns the constant parts of the description, with those `wanted`: drawing, file, density."""
+        return replace(
+            self._description,
+            drawing=drawing(self._arm) if "drawing" in wanted else UNSET,
+            file=file(self._arm) if "file" in wanted else UNSET,
+            density=density(self._densities, planar=self._arm.manipulator.planar) if "density" in wanted else UNSET,
+        )
 
 
 @contextlib.contextmanager

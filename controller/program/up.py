@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from hyperbit.controller.messages.state import Board, Bus, LoopTimes
 from hyperbit.controller.program.parts import (
     MOST_ACTUATORS,
     MOST_CHANGES,
@@ -195,9 +196,9 @@ class Diagnostics(Message, frozen=True, tag="diagnostics"):
     """Health of loop, buses and boards, once a second."""
 
     at: Seconds
-    loop: dict[str, float]  # ticks, longest_period, mean_work, longest_work, overruns of the last second, and lateness
-    buses: list[dict[str, str | int | float | dict[str, float]]]  # fields of BusStatus
-    boards: list[dict[str, str | int | float | None]]  # fields of BoardStatus
+    loop: LoopTimes
+    buses: list[Bus]
+    boards: list[Board]
     real_time: Text  # "off", "on", or a sentence on what is missing
     counts: tuple[Number, ...]  # switches of each actuator so far
     waits: Number  # periods in which the arm held because a clearance was not known

@@ -13,9 +13,9 @@ import msgspec
 
 from hyperbit.controller.armfile.units import METRES_TAKEN
 from hyperbit.controller.decoding.decoding import OTHER_FORM, Unreadable, decode
+from hyperbit.controller.messages.reading import read
 from hyperbit.controller.network.fault_changes import ActiveFaults
 from hyperbit.controller.network.listener import Listener, ReceivedMessage
-from hyperbit.controller.network.messages import read
 from hyperbit.controller.pictures.scene import FoxgloveScene
 from hyperbit.controller.recorder.folder import Folder
 from hyperbit.controller.recorder.recording import LogClock, Recording

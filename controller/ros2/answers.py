@@ -9,7 +9,8 @@ import zenoh
 from msgspec import Meta
 
 from hyperbit.controller.decoding.decoding import Unreadable, convert
-from hyperbit.controller.network import messages
+from hyperbit.controller.messages import state as messages
+from hyperbit.controller.messages.parts import Pose
 from hyperbit.controller.network.client import Client, Unanswered
 
 TIMEOUT = 10.0  # [s] for an answer of the daemon
@@ -34,7 +35,7 @@ class Answer(msgspec.Struct, frozen=True):
 
 
 class PlanAnswer(Answer, frozen=True):
-    waypoints: list[messages.TipPose] = []
+    waypoints: list[Pose] = []
 
 
 class ArmAnswer(msgspec.Struct, frozen=True):
@@ -55,7 +56,7 @@ class GoalResult(msgspec.Struct, frozen=True):
         (self.status + self.message).encode()
 
 
-class State(messages.State):
+class State(messages.State, frozen=True):
     """A ROS 2 message has its stamp in 32 bits."""
 
     stamp: Annotated[float, Meta(ge=0, lt=2**31)] = 0.0

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from typing import Any
 
 from hyperbit.controller.decoding.decoding import OTHER_FORM, decode
+from hyperbit.controller.messages.reading import UnreadCount, read
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.network.listener import Listener, ReceivedMessage
-from hyperbit.controller.network.messages import UnreadCount, read
 from hyperbit.controller.ros2.answers import GoalResult, State
 from hyperbit.controller.ros2.arm_node import ArmNode, Settings
 from hyperbit.controller.ros2.goal_book import GoalBook

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -160,7 +160,7 @@ class Solution:
     def _repr_html_(self) -> str:
         return html_table([self])
 
-    def proof(self) -> dict[str, str | bool | float | None]:
+    def proof(self) -> dict[str, Any]:
         """Returns the certificate as fields for JSON."""
         return proof(self.certificate, self.bound)
 
@@ -181,7 +181,7 @@ def gap(kind: Certificate, bound: float, cost: float) -> float | None:
     return 0.0 if proves(bound, cost) else cost / bound - 1
 
 
-def proof(kind: Certificate, bound: float) -> dict[str, str | bool | float | None]:
+def proof(kind: Certificate, bound: float) -> dict[str, Any]:
     """Returns the fields `optimal`, `lower_bound` and `certificate` for JSON, which has no infinity."""
     known = kind in ("optimal", "bound")
     optimal = None if kind == "unknown" else kind == "optimal"

@@ -7,14 +7,15 @@ import json
 from pathlib import Path
 
 import pytest
+from msgspec import to_builtins
 
 from hyperbit.controller.commands.common import refusal
 from hyperbit.controller.commands.connection import named
 from hyperbit.controller.commands.operate import demo
 from hyperbit.controller.commands.use import halt
 from hyperbit.controller.commands.use.send import cancel_goal, counted
+from hyperbit.controller.messages.goals import refused
 from hyperbit.controller.motion.decoding.requests import DegradeMessage
-from hyperbit.controller.planning.core.events import refused
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.drivers.simulation.fault_commands import VERBS, usage
@@ -58,7 +59,7 @@ def test_the_variable_names_the_endpoint_and_the_option_overrides_it(hyperbit, g
 
 @pytest.mark.parametrize(("arm", "file"), [("a", "ARM.yaml"), ("'my arm.yaml' --connect x", "'my arm.yaml'")])
 def test_advice_names_the_file_that_was_given(arm, file):
-    told = str(refusal(refused(Refusal(Reason.NOT_SIMULATED)), arm))
+    told = str(refusal(to_builtins(refused(Refusal(Reason.NOT_SIMULATED))), arm))
     assert told.endswith(f"Next: start a simulated arm by: hyperbit run {file} --simulate")
 
 

@@ -35,11 +35,11 @@ from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.gateway.server import GatewayParts, Server
 from hyperbit.controller.host.files import read_kept
+from hyperbit.controller.messages.reading import filled
 from hyperbit.controller.network import client as network_client
 from hyperbit.controller.network.client import Client, Unanswered
 from hyperbit.controller.network.fleet import ArmAddress, Fleet, Presence
 from hyperbit.controller.network.listener import ReceivedMessage
-from hyperbit.controller.network.messages import filled
 from hyperbit.controller.network.stop_all import note
 from hyperbit.controller.panel.access.people import read_people
 from hyperbit.controller.panel.access.sessions import Session

@@ -13,23 +13,24 @@ from typing import Any
 
 import pytest
 import zenoh
+from msgspec.structs import replace
 
 from hyperbit.controller.gateway.arrivals import Clocks, RepeatedGoals, Reply
 from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.gateway.server import GatewayParts, Server
+from hyperbit.controller.messages.arm import Density, Description, Structure
+from hyperbit.controller.messages.goals import Answer, done, refused
 from hyperbit.controller.motion.decoding.goal import GoalMessage, parse
 from hyperbit.controller.motion.decoding.requests import DegradeMessage
 from hyperbit.controller.network import session
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.planning.core.events import (
     Arrival,
+    LiveArm,
     Message,
-    Payload,
     SetpointArrived,
     TipArrived,
-    done,
-    refused,
 )
 from hyperbit.controller.planning.loop import Mailbox
 from hyperbit.controller.planning.planner import decode_cancel
@@ -59,7 +60,7 @@ class FakePlanner:
         self._numbers = itertools.count(1)
         self.decoded: list[str] = []
         self.holding = threading.Event()
-        self.waiting: list[tuple[Reply, Payload]] = []
+        self.waiting: list[tuple[Reply, Any]] = []
         self.setpoints, self.tips = Mailbox(SetpointArrived), Mailbox(TipArrived)
         self.receive = {"setpoint": self.setpoints.take, "measured_tip": self.tips.take}
         self.tracker = True
@@ -96,14 +97,14 @@ class FakePlanner:
         else:
             reply(answer)
 
-    def _answer(self, key: str, message: Message) -> Payload:
+    def _answer(self, key: str, message: Message) -> Answer | LiveArm:
         match key, message:
             case "arm", _:
-                return {"limits": [], "running": None}
+                return LiveArm([], [], False, None, None)
             case "goal", GoalMessage(id="far"):
                 return refused(FAR, "far")
             case "goal", GoalMessage(id=known):
-                return {**done("accepted"), "id": known or "made-up"}
+                return replace(done("accepted"), id=known or "made-up")
             case "degrade", _:
                 return refused(NO_ACTUATOR)
             case _:
@@ -112,8 +113,9 @@ class FakePlanner:
     def keys(self) -> list[str]:
         return [key for key, _ in self.heard if key != "arm"]
 
-    def description(self, wanted: Collection[str] = ()) -> Payload:
-        return {"name": ARM, "dimension": 2, **{key: {} for key in wanted if key != "running"}}
+    def description(self, wanted: Collection[str] = ()) -> Description:
+        parts = {"drawing": Structure([], []), "file": None, "density": Density([1, 1, 1], [0.0] * 3, 1.0, 1.0, "")}
+        return Description(name=ARM, **{key: parts[key] for key in wanted if key in parts})
 
 
 class Gateway:
@@ -122,7 +124,7 @@ class Gateway:
     def __init__(self, stack: ExitStack, endpoint: str) -> None:
         self._stack, self.endpoint = stack, endpoint
         self.planner, self.goals, self.published = FakePlanner(), RepeatedGoals(), list[Any]()
-        self.rows: dict[str, Payload] = {}
+        self.rows: dict[str, dict[str, Any]] = {}
         self.readable = True
         self.session = stack.enter_context(zenoh.open(session.configuration("peer", listen=endpoint)))
         hooks = self.goals.ended, lambda *result: None, self.published.append
@@ -137,7 +139,7 @@ class Gateway:
         parts = GatewayParts(self.planner, self.outbox, self.goals, poses, self.find, clocks)  # type: ignore[arg-type]
         return Server(self.session, ARM, parts)
 
-    def find(self, goal: str) -> Payload | None:
+    def find(self, goal: str) -> dict[str, Any] | None:
         if not self.readable:
             raise sqlite3.OperationalError("unable to open database file")
         return self.rows.get(goal)

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import zenoh
 
+from hyperbit.controller.messages.goals import Feedback, Result
 from hyperbit.controller.motion.decoding.goal import GoalMessage
 from hyperbit.controller.network.client import TRIES, Client, Unanswered, answer_timeout
 from hyperbit.controller.planning.core.events import Identity, PublishResult
@@ -92,10 +93,10 @@ def test_a_goal_that_is_asked_again_runs_once_and_is_heard_to_its_end(gateway: G
         reply, answer = eventually(lambda: gateway.planner.waiting)[0]
         reply(answer)
         eventually(lambda: told)
-        gateway.outbox.publish("feedback", {"id": answer["id"], "waypoint": 0})
-        for number, goal in enumerate(("another", answer["id"])):
-            payload = {"id": goal, "status": "succeeded"}
-            gateway.outbox.publish_result(PublishResult(number, Identity(1, number), False, payload))
+        gateway.outbox.publish("feedback", Feedback(id=answer.id, waypoint=0))
+        for number, goal in enumerate(("another", answer.id)):
+            result = Result(id=goal, status="succeeded")
+            gateway.outbox.publish_result(PublishResult(number, Identity(1, number), False, result))
 
     planner = threading.Thread(target=plan)
     planner.start()

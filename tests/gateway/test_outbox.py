@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 
 from hyperbit.controller.gateway.outbox import MOST_WAITING, POLL, RECONNECTED, SENT_WITHIN, Outbox, encoded
+from hyperbit.controller.messages.arm import Description
+from hyperbit.controller.messages.goals import Ending, Feedback, Note, Result, done, refused
+from hyperbit.controller.messages.state import Diagnostics, State
 from hyperbit.controller.planning.core.events import Identity, Published, PublishResult
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 from tests.waiting import PATIENCE, eventually
 
 
@@ -56,10 +61,10 @@ class Results:
     def tell(self, what: Any) -> None:
         self.told.append((what, len(self.session.sent)))
 
-    def note(self, identity: Identity, payload: Any) -> None:
+    def note(self, identity: Identity, payload: Result) -> None:
         if self.fail:
             raise RuntimeError("a defect")
-        self.tell((identity, payload["status"]))
+        self.tell((identity, payload.status))
 
     def outbox(self, **named: Any) -> Outbox:
         outbox = Outbox(self.session, "p", self.tell, self.note, self.tell, self.fatal.append, **named)  # type: ignore[arg-type]
@@ -68,7 +73,7 @@ class Results:
 
 
 def result(goal: str = "a", status: str = "succeeded", inherited: bool = False, **fields: Any) -> PublishResult:
-    return PublishResult(7, Identity(1, 2), inherited, {"id": goal, "status": status, **fields})
+    return PublishResult(7, Identity(1, 2), inherited, Result(id=goal, status=status, **fields))
 
 
 class FakeQuery:
@@ -99,7 +104,7 @@ def results(session: FakeSession) -> Results:
 
 def stall(session: FakeSession, outbox: Outbox) -> None:
     session.taking.clear()
-    outbox.publish("feedback", {})
+    outbox.publish("feedback", Feedback())
     assert session.waiting.wait(PATIENCE)
 
 
@@ -107,7 +112,8 @@ def test_a_result_is_marked_then_published_then_posted(session: FakeSession, res
     outbox = results.outbox()
     outbox.publish_result(result("a", error=np.float64("nan")))
     outbox.close(PATIENCE)
-    assert session.sent == [("p/result", {"id": "a", "status": "succeeded", "error": None})]
+    ((key, sent),) = session.sent
+    assert (key, sent["id"], sent["status"], sent["error"]) == ("p/result", "a", "succeeded", None)
     assert results.told == [("a", 0), ((Identity(1, 2), "succeeded"), 0), (Published(7), 1)]
 
 
@@ -116,7 +122,7 @@ def test_a_result_counts_as_published_when_it_has_left_the_process(session: Fake
     outbox = results.outbox(clock=lambda: now)
     outbox.publish_result(result("a"))
     eventually(lambda: len(results.told) == 2)
-    outbox.publish("feedback", {})
+    outbox.publish("feedback", Feedback())
     eventually(lambda: len(session.sent) == 2)
     assert len(results.told) == 2
     now += SENT_WITHIN
@@ -151,10 +157,10 @@ def test_a_result_that_was_not_sent_does_not_count_as_published(session: FakeSes
     outbox = results.outbox()
     outbox.publishers["result"].put = lambda data: 1 / 0  # type: ignore[method-assign]
     outbox.publish_result(result())
-    outbox.publish("feedback", {"n": 1})
+    outbox.publish("feedback", Feedback(id="a", stages=1))
     outbox.close(PATIENCE)
     marked = [("a", 0), ((Identity(1, 2), "succeeded"), 0)]
-    assert (session.sent, results.told, results.fatal) == ([("p/feedback", {"n": 1})], marked, [])
+    assert ([key for key, _ in session.sent], results.told, results.fatal) == (["p/feedback"], marked, [])
 
 
 def test_a_thread_that_dies_says_so(session: FakeSession, results: Results) -> None:
@@ -172,39 +178,35 @@ def test_result_of_the_planner_before_waits_for_clients_to_connect_and_delays_no
     outbox.publish_result(result("1", "aborted", inherited=True))
     outbox.publish_result(result("2"))
     eventually(lambda: session.sent)
-    assert (session.sent, outbox.waiting()) == ([("p/result", {"id": "2", "status": "succeeded"})], 1)
+    assert ([it["id"] for it in session.on("result")], outbox.waiting()) == (["2"], 1)
     now += RECONNECTED
     eventually(lambda: len(session.sent) == 2)
-    assert session.sent[1] == ("p/result", {"id": "1", "status": "aborted"})
+    assert [it["id"] for it in session.on("result")] == ["2", "1"]
     outbox.close(PATIENCE)
 
 
 def test_answer_feedback_and_result_of_a_goal_leave_in_order(session: FakeSession, results: Results) -> None:
     outbox, query = results.outbox(), FakeQuery(session)
     stall(session, outbox)
-    outbox.answer(query, "goal", {"accepted": True})
-    outbox.publish("feedback", {"n": 1})
+    outbox.answer(query, "goal", done("accepted"))
+    outbox.publish("feedback", Feedback(id="a", stages=1))
     outbox.publish_result(result())
     session.taking.set()
     outbox.close(PATIENCE)
-    assert session.sent[1:] == [
-        ("p/goal", {"accepted": True}),
-        ("p/feedback", {"n": 1}),
-        ("p/result", {"id": "a", "status": "succeeded"}),
-    ]
+    assert [key for key, _ in session.sent[1:]] == ["p/goal", "p/feedback", "p/result"]
     assert query.ended == 1
 
 
 def test_a_result_overtakes_states_refusals_and_other_answers(session: FakeSession, results: Results) -> None:
     outbox = results.outbox()
     stall(session, outbox)
-    outbox.answer(FakeQuery(session), "goal", {"accepted": False})
-    outbox.answer(FakeQuery(session), "plan", {"accepted": True})
-    outbox.answer(FakeQuery(session), "arm", {"name": "a"})
-    outbox.publish("result", {"status": "refused"})
-    outbox.publish("state", {})
+    outbox.answer(FakeQuery(session), "goal", refused(Refusal(Reason.BUSY)))
+    outbox.answer(FakeQuery(session), "plan", done("planned"))
+    outbox.answer(FakeQuery(session), "arm", Description(name="a"))
+    outbox.publish("result", Ending(status="refused"))
+    outbox.publish("state", State(mode="ready"))
     outbox.publish_result(result())
-    outbox.answer(FakeQuery(session), "stop", {"accepted": True})
+    outbox.answer(FakeQuery(session), "stop", done("stopped"))
     session.taking.set()
     outbox.close(PATIENCE)
     keys = ["p/result", "p/stop", "p/state", "p/goal", "p/plan", "p/arm", "p/result"]
@@ -215,42 +217,47 @@ def test_for_a_slow_peer_only_the_latest_state_and_diagnostics_wait(session: Fak
     outbox = results.outbox()
     stall(session, outbox)
     for k in range(100):
-        outbox.publish("state", {"k": k})
-        outbox.publish("diagnostics", {"k": k, "queues": {"planning": 2}})
-        outbox.publish("@request", {})
+        outbox.publish("state", State(mode="ready", obstacles=k))
+        outbox.publish("diagnostics", Diagnostics(dropped=k, queues={"planning": 2}))
+        outbox.publish("@request", Note(key="stop", answer=done("")))
     session.taking.set()
     outbox.close(PATIENCE)
-    assert session.on("state") == [{"k": 99, "poses": 0}]
+    assert [(it["obstacles"], it["poses"]) for it in session.on("state")] == [(99, 0)]
     (diagnostics,) = session.on("diagnostics")
-    assert diagnostics == {"k": 99, "queues": {"planning": 2, "outbox": 100}}
+    assert (diagnostics["dropped"], diagnostics["queues"]) == (99, {"planning": 2, "outbox": 100})
 
 
 def test_the_last_state_is_published_at_the_end(session: FakeSession, results: Results) -> None:
     outbox = results.outbox()
     for k in range(10):
-        outbox.publish("state", {"k": k})
+        outbox.publish("state", State(mode="ready", obstacles=k))
     outbox.close(PATIENCE)
-    assert session.on("state")[-1] == {"k": 9, "poses": 0}
+    assert session.on("state")[-1]["obstacles"] == 9
 
 
 def test_while_peers_take_nothing_only_results_pile_up(session: FakeSession, results: Results) -> None:
     outbox = results.outbox()
     stall(session, outbox)
     for _ in range(2 * MOST_WAITING):
-        outbox.answer(FakeQuery(session), "arm", {})
-        outbox.publish("result", {"status": "refused"})
-        outbox.publish("feedback", {})
+        outbox.answer(FakeQuery(session), "arm", Description())
+        outbox.publish("result", Ending(status="refused"))
+        outbox.publish("feedback", Feedback())
     assert outbox.waiting() == 2 * MOST_WAITING
     outbox.publish_result(result())
     assert outbox.waiting() == 2 * MOST_WAITING + 1
     session.taking.set()
     outbox.close(PATIENCE)
-    assert ("p/result", {"id": "a", "status": "succeeded"}) in session.sent
+    assert "a" in [sent.get("id") for sent in session.on("result")]
 
 
 def test_messages_of_many_threads_are_all_sent(session: FakeSession, results: Results) -> None:
     outbox, number = results.outbox(), MOST_WAITING // 5
-    queue = [threading.Thread(target=lambda: [outbox.publish("@request", {}) for _ in range(number)]) for _ in range(4)]
+    queue = [
+        threading.Thread(
+            target=lambda: [outbox.publish("@request", Note(key="stop", answer=done(""))) for _ in range(number)]
+        )
+        for _ in range(4)
+    ]
     for thread in queue:
         thread.start()
     for thread in queue:
@@ -262,11 +269,11 @@ def test_messages_of_many_threads_are_all_sent(session: FakeSession, results: Re
 @pytest.mark.parametrize("value", [object(), "\udc80", {1: object()}])
 def test_a_payload_without_json_is_still_answered(session: FakeSession, results: Results, value: object) -> None:
     outbox, query = results.outbox(), FakeQuery(session)
-    outbox.answer(query, "plan", {"value": value})
-    outbox.answer(query, "plan", {"value": 1})
+    outbox.answer(query, "plan", done(value))  # type: ignore[arg-type]
+    outbox.answer(query, "plan", done("planned"))
     outbox.close(PATIENCE)
     assert session.sent[0][1]["message"] == "internal error, see the journal"
-    assert session.sent[1] == ("p/plan", {"value": 1})
+    assert session.sent[1][1]["message"] == "planned"
     assert query.ended == 2
 
 
@@ -275,7 +282,7 @@ def test_a_result_without_json_still_names_its_goal_and_status(
     session: FakeSession, results: Results, goal: str, told: str
 ) -> None:
     outbox = results.outbox()
-    outbox.publish_result(result(goal, "aborted", code=-4, value=object()))
+    outbox.publish_result(result(goal, "aborted", code=-4, error=object()))
     outbox.close(PATIENCE)
     ((_, sent),) = session.sent
     assert (sent["id"], sent["status"], sent["message"]) == (told, "aborted", "internal error, see the journal")
@@ -285,19 +292,24 @@ def test_a_result_without_json_still_names_its_goal_and_status(
 def test_a_peer_that_is_gone_ends_nothing(session: FakeSession, results: Results) -> None:
     outbox, query = results.outbox(), FakeQuery(session)
     query.reply = lambda *_, **__: 1 / 0  # type: ignore[method-assign]
-    outbox.answer(query, "goal", {})
-    outbox.publish("feedback", {})
+    outbox.answer(query, "goal", done(""))
+    outbox.publish("feedback", Feedback())
     outbox.close(PATIENCE)
-    assert session.sent == [("p/feedback", {})]
+    assert [key for key, _ in session.sent] == ["p/feedback"]
 
 
 def test_numpy_is_written_as_numbers_and_nan_as_null() -> None:
-    payload = {
-        "a": np.float64(1.5), "b": np.uint8(3), "c": np.array([1, 2]), "d": float("nan"), "e": np.float64("inf"),
-        "f": np.array([np.nan]), "g": np.bool_(True),
-    }  # fmt: skip
-    expected = {"a": 1.5, "b": 3, "c": [1, 2], "d": None, "e": None, "f": [None], "g": True}
-    assert json.loads(encoded(payload)) == expected
+    given = [
+        np.float64(1.5),
+        np.uint8(3),
+        np.array([1, 2]),
+        float("nan"),
+        np.float64("inf"),
+        np.array([np.nan]),
+        np.bool_(True),
+    ]
+    sent = json.loads(encoded(Feedback(bias=given)))  # type: ignore[arg-type]
+    assert sent["bias"] == [1.5, 3, [1, 2], None, None, [None], True]
 
 
 def test_after_a_standstill_results_wait_for_peers_and_others_do_not(session: FakeSession, results: Results) -> None:
@@ -307,12 +319,13 @@ def test_after_a_standstill_results_wait_for_peers_and_others_do_not(session: Fa
     eventually(lambda: outbox.wait_until > now[0])
     outbox.publish_result(result())
     outbox.publish_result(result("of the planner before", inherited=True))
-    outbox.publish("feedback", {"id": "b"})
-    outbox.publish("state", {})
+    outbox.publish("feedback", Feedback(id="b"))
+    outbox.publish("state", State(mode="ready"))
     eventually(lambda: session.sent)
-    outbox.answer(FakeQuery(session), "arm", {"name": "arm"})
+    outbox.answer(FakeQuery(session), "arm", Description(name="arm"))
     eventually(lambda: len(session.sent) == 2)
-    assert session.sent == [("p/state", {"poses": 0}), ("p/arm", {"name": "arm"})]
+    assert [key for key, _ in session.sent] == ["p/state", "p/arm"]
+    assert session.sent[0][1]["poses"] == 0
     for _ in range(int(RECONNECTED / 0.9) + 1):
         turned = now[0] = now[0] + 0.9
         eventually(lambda turned=turned: outbox.last_reading == turned)

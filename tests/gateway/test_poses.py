@@ -13,6 +13,8 @@ import pytest
 
 from hyperbit.controller.gateway import poses as poses_module
 from hyperbit.controller.gateway.poses import Poses, PosesMessage, decode_poses
+from hyperbit.controller.messages.arm import NamedPose
+from hyperbit.controller.messages.state import State
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from tests.gateway.conftest import Gateway
@@ -28,19 +30,19 @@ def file(tmp_path: Path) -> Path:
 
 
 def names(poses: Poses) -> list[object]:
-    return [pose["name"] for pose in poses.listed()]
+    return [pose.name for pose in poses.listed()]
 
 
 def test_poses_survive_a_restart_and_home_is_always_there(file: Path) -> None:
     poses = Poses(file, "00")
-    assert poses.listed() == [{"name": "home", "goal": {"waypoints": [{"configuration": "00"}]}}]
-    assert poses.change(PosesMessage(save="pick", goal=PICK))["message"] == "saved pose 'pick'"
+    assert poses.listed() == [NamedPose("home", {"waypoints": [{"configuration": "00"}]})]
+    assert poses.change(PosesMessage(save="pick", goal=PICK)).message == "saved pose 'pick'"
     poses.change(PosesMessage(save="home", goal=PLACE))
     again = Poses(file, "00")
-    assert again.listed() == [{"name": "home", "goal": PLACE}, {"name": "pick", "goal": PICK}]
+    assert again.listed() == [NamedPose("home", PLACE), NamedPose("pick", PICK)]
     again.change(PosesMessage(remove="home"))
     again.change(PosesMessage(remove="pick"))
-    assert Poses(file, "00").listed() == [{"name": "home", "goal": {"waypoints": [{"configuration": "00"}]}}]
+    assert Poses(file, "00").listed() == [NamedPose("home", {"waypoints": [{"configuration": "00"}]})]
     assert [path.name for path in file.parent.iterdir()] == [file.name]
 
 
@@ -140,7 +142,7 @@ def test_each_state_has_a_number_that_grows_when_the_poses_change(endpoint: str)
             mark = str(uuid.uuid4())
 
             def came() -> dict[str, object] | None:
-                gateway.outbox.publish("state", {"mode": mark})
+                gateway.outbox.publish("state", State(mode=mark))
                 with suppress(queue.Empty):
                     return state if (state := states.get(timeout=0.1))["mode"] == mark else None
                 return None

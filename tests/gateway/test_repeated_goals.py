@@ -4,9 +4,10 @@ import json
 import threading
 
 import pytest
+from msgspec.structs import replace
 
 from hyperbit.controller.gateway.arrivals import MOST, REMEMBERED, RepeatedGoals, Reply, keys_of
-from hyperbit.controller.planning.core.events import Payload, done, refused
+from hyperbit.controller.messages.goals import Answer, done, refused
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 
@@ -21,7 +22,7 @@ class Bench:
         self.now = 0.0
         self.goals = RepeatedGoals(lambda: self.now)
         self.planned: list[tuple[bytes, Reply]] = []
-        self.answers: list[Payload] = []
+        self.answers: list[Answer] = []
 
     def send(self, payload: bytes = GOAL, number: bytes = b"") -> None:
         keys = keys_of(payload, number, has_id=bool(json.loads(payload).get("id")))
@@ -29,7 +30,7 @@ class Bench:
 
     def accept(self) -> None:
         payload, reply = self.planned[-1]
-        reply({**done("accepted"), "id": json.loads(payload).get("id", "made-up")})
+        reply(replace(done("accepted"), id=json.loads(payload).get("id", "made-up")))
 
 
 @pytest.fixture
@@ -57,7 +58,7 @@ def test_a_client_that_attaches_the_same_to_each_request_has_each_goal_run(bench
         bench.accept()
     bench.send(b'{"waypoints": []}', b"my client")
     assert len(bench.planned) == 4
-    assert [answer["id"] for answer in bench.answers] == ["g0", "g1", "g2"]
+    assert [answer.id for answer in bench.answers] == ["g0", "g1", "g2"]
 
 
 def test_a_goal_without_id_or_number_is_always_new(bench: Bench) -> None:
@@ -99,7 +100,7 @@ def test_a_refused_goal_may_be_sent_again(bench: Bench) -> None:
     bench.send(GOAL, b"7")
     bench.planned[0][1](refused(Refusal(Reason.BUSY), "a"))
     bench.send(GOAL, b"7")
-    assert [answer["accepted"] for answer in bench.answers] == [False, False]
+    assert [answer.accepted for answer in bench.answers] == [False, False]
     bench.send(GOAL, b"8")
     assert len(bench.planned) == 2
 
@@ -149,6 +150,6 @@ def test_goals_that_come_in_many_threads_are_planned_once_and_each_is_answered(b
     while any(thread.is_alive() for thread in threads) or answered < len(bench.planned):
         for payload, reply in bench.planned[answered:]:
             answered += 1
-            reply({**done("accepted"), "id": json.loads(payload)["id"]})
+            reply(replace(done("accepted"), id=json.loads(payload)["id"]))
     assert len(bench.planned) == 100
     assert len(bench.answers) == 800

@@ -7,7 +7,9 @@ import pytest
 import zenoh
 
 from hyperbit.controller.gateway.arrivals import MOST_AT_ONCE, PAUSE, PAUSE_EVERY, Clocks, FloodBrake, Rate
-from hyperbit.controller.gateway.server import MOST_NOTES, noted_content
+from hyperbit.controller.gateway.server import MOST_NOTES
+from hyperbit.controller.gateway.server import noted as note_of
+from hyperbit.controller.messages.goals import done
 from tests.gateway.conftest import ARM, GOAL, PREFIX, Gateway, asked
 from tests.waiting import eventually
 
@@ -52,13 +54,13 @@ def test_what_is_no_json_is_noted_as_text(gateway: Gateway) -> None:
 
 
 def test_what_is_nested_too_deeply_is_noted_as_text() -> None:
-    assert noted_content(b"[" * 100_000)["text"] == "[" * 500
-    assert noted_content(b'{"with": ' + b"[" * 100_000)["payload"] is None
+    assert note_of(1.0, "goal", b"[" * 100_000, done("")).text == "[" * 500
+    assert note_of(1.0, "goal", b'{"with": ' + b"[" * 100_000, done("")).payload is None
 
 
 @pytest.mark.parametrize("payload", [b'"\xff"', b'{"id":"\xff"}', b'{"id":"\xed\xa0\x80"}'])
 def test_what_is_no_utf8_within_a_text_is_noted_as_text(payload: bytes) -> None:
-    assert noted_content(payload)["payload"] is None
+    assert note_of(1.0, "goal", payload, done("")).payload is None
 
 
 def test_a_stop_whose_payload_is_no_utf8_is_carried_out_and_answered_while_a_recorder_listens(gateway: Gateway) -> None:

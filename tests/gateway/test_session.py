@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from hyperbit.controller.messages.goals import Result
 from hyperbit.controller.network import session
 from hyperbit.controller.planning.core.events import Identity, PublishResult
 from tests.gateway.conftest import ARM, Gateway
@@ -87,17 +88,17 @@ def test_a_client_that_stood_still_hears_the_results_of_that_time(gateway: Gatew
             began = time.monotonic()
             client.send_signal(signal.SIGSTOP)
             time.sleep(STANDSTILL)
-            payload = {"status": "succeeded", "attempt": attempt}
-            gateway.outbox.publish_result(PublishResult(attempt, Identity(1, attempt), False, payload))
+            result = Result(status="succeeded", switches=attempt)
+            gateway.outbox.publish_result(PublishResult(attempt, Identity(1, attempt), False, result))
             client.send_signal(signal.SIGCONT)
             assert client.stdin
-            print('{"attempt": -1}', file=client.stdin, flush=True)
-            heard = [json.loads(client.stdout.readline())["attempt"]]
+            print('{"switches": -1}', file=client.stdin, flush=True)
+            heard = [json.loads(client.stdout.readline())["switches"]]
             while -1 not in heard:
-                heard.append(json.loads(client.stdout.readline())["attempt"])
+                heard.append(json.loads(client.stdout.readline())["switches"])
             if time.monotonic() - began < session.LEASE / 2:  # a busy machine may make it longer than sessions last
                 break
             gateway.reached()
         while attempt not in heard:
-            heard.append(json.loads(client.stdout.readline())["attempt"])
+            heard.append(json.loads(client.stdout.readline())["switches"])
         client.communicate()

@@ -141,7 +141,7 @@ def test_sources_tell_board_bus_and_actuator(code: str, source: str, fields: dic
 
 def test_modes_and_results_have_fields() -> None:
     assert fields_of_mode("fault") == {"MESSAGE_ID": message_id("mode-fault"), "HYPERBIT_MODE": "fault"}
-    found = fields_of_result({"id": "g", "status": "aborted", "code": -4})
+    found = fields_of_result("g", "aborted", -4)
     assert (found["HYPERBIT_GOAL"], found["HYPERBIT_STATUS"], found["HYPERBIT_CODE"]) == ("g", "aborted", "-4")
     assert found["MESSAGE_ID"] == message_id("goal-aborted") != message_id("goal-succeeded")
 

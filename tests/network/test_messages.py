@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.decoding.decoding import Unreadable
+from hyperbit.controller.messages.reading import TELL_EVERY, UnreadCount, filled, read
 from hyperbit.controller.network.endpoints import owner_of, parse_endpoint, port_taken
-from hyperbit.controller.network.messages import TELL_EVERY, UnreadCount, filled, read
 from tests.clock import Clock
 
 STATE = {"mode": "ready", "reason": "holding", "commanded": [0, 1], "measured": [None, 1], "from_a_later_version": 1}

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import pytest
 
+from hyperbit.controller.messages.goals import Result
 from hyperbit.controller.planning import ledger as published
 from hyperbit.controller.planning.core.events import Identity, ResultEntry
 from hyperbit.controller.planning.ledger import PublishedResults, published_path
 
-PAYLOAD = {"id": "a", "status": "aborted", "code": -4, "message": "of \udc80\nlines", "switches": 3, "where": [1.0]}
+RESULT = Result("aborted", "a", -4, "of \udc80\nlines", 3)
 
 
 @pytest.fixture
@@ -19,7 +20,7 @@ def path(tmp_path: Path) -> Path:
 
 def add(results: PublishedResults, *identities: Identity) -> None:
     for identity in identities:
-        results.add(identity, PAYLOAD)
+        results.add(identity, RESULT)
 
 
 def test_the_next_process_knows_what_was_published(path: Path) -> None:

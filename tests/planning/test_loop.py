@@ -257,7 +257,7 @@ def test_closing_refuses_what_was_not_answered(bench: Bench) -> None:
     bench.ask(answered.append)
     bench.loop.close()
     bench.loop.close()
-    assert [payload["message"] for payload in answered] == [Reason.SHUTTING_DOWN.sentence]
+    assert [answer.message for answer in answered] == [Reason.SHUTTING_DOWN.sentence]
 
 
 def test_no_event_is_missed(bench: Bench) -> None:

@@ -26,6 +26,8 @@ OTHERS = {
     ("functools", "partial"),
     ("filterpy.kalman.kalman_filter", "KalmanFilter"),
     ("numpy.linalg", "inv"),  # attribute of the filter
+    ("msgspec", "UnsetType"),
+    ("msgspec._utils", "rebuild"),  # structs whose fields are keywords
     *(
         ("builtins", name)
         for name in ("bytearray", "complex", "dict", "frozenset", "int", "list", "range", "set", "slice")

@@ -44,7 +44,7 @@ from hyperbit.controller.workspace.densities import Densities
 
 if TYPE_CHECKING:
     from hyperbit.controller.network.client import Client
-from hyperbit.controller.network.messages import Message
+from hyperbit.controller.messages.reading import Message
 
 PAPER_TARGETS = [[3.0, 0.7], [0.55, 2.9], [0.4, 2.9]]
 CURVE_WAYPOINTS = 36

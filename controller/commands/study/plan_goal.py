@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -35,13 +35,13 @@ from hyperbit.controller.commands.connection import arms_alive, named, open_sess
 from hyperbit.controller.commands.study.plan_rows import sentence
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.manipulator.notation import format_configuration, parse_configuration
+from hyperbit.controller.messages.goals import Answer, refused
 from hyperbit.controller.motion.decoding.goal import parse
 from hyperbit.controller.motion.decoding.requests import decode_obstacles
 from hyperbit.controller.motion.stages.program import pack_states
 from hyperbit.controller.motion.trajectory import upwards
 from hyperbit.controller.obstacles.obstacles import NONE, Obstacles, together
 from hyperbit.controller.planning.core import tasks
-from hyperbit.controller.planning.core.events import refused
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 
@@ -164,7 +164,7 @@ class Alone:
             message = parse(json.dumps(payload).encode())
             goal = tasks.PlanGoal(message, time.time(), None, self._basis)
             task = tasks.DescribePlan(goal, LONGEST + (message.deadline or 0.0))
-            answer: Mapping[str, Any] = describe(self._model, task, lambda: False, lambda: False).payload
+            answer: Answer = describe(self._model, task, lambda: False, lambda: False).plan
         except Refusal as error:
             answer = refused(error)
         plan: Plan = json.loads(encoded(answer))

@@ -15,8 +15,8 @@ from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, Locks, Switches, Wait, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, counted, print_json, refusal
 from hyperbit.controller.commands.connection import ask, connected, named
+from hyperbit.controller.messages.reading import filled
 from hyperbit.controller.network.endpoints import START
-from hyperbit.controller.network.messages import filled
 
 PAUSE = 0.002  # [s]; deploy/zenoh-tls.json5 drops a second request of a kind within a millisecond
 SILENCE = 10.0  # [s] without a state, after which the daemon is lost

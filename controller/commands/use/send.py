@@ -16,7 +16,7 @@ from hyperbit.controller.commands import ENDPOINT, common
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, counted, print_json, refusal
 from hyperbit.controller.commands.connection import connected, named
-from hyperbit.controller.network.messages import filled
+from hyperbit.controller.messages.reading import filled
 
 if TYPE_CHECKING:
     from hyperbit.controller.network.client import Client

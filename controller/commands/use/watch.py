@@ -23,8 +23,8 @@ from hyperbit.controller.commands import ENDPOINT, common
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, arm_name, drawn, print_json
 from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.messages.reading import filled
 from hyperbit.controller.network.endpoints import START
-from hyperbit.controller.network.messages import filled
 
 COLOURS = {"ready": "green", "executing": "cyan", "starting": "yellow", "fault": "red", "stopped": "red"}
 LOOP = ("longest_period", "mean_work", "longest_work", "overruns")  # times of the executor's loop

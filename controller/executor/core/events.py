@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from hyperbit.controller.host.process import Log, Notify, Quit
+from hyperbit.controller.messages.state import LoopTimes
 from hyperbit.controller.program import Down, Up
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import Event as CanEvent
@@ -23,7 +24,7 @@ class ExecutorTick(NamedTuple):
 class Health(NamedTuple):
     """Figures of the process, once a second; the core answers with `Diagnostics` to all clients."""
 
-    loop: dict[str, float]
+    loop: LoopTimes
     dropped: int
     journal: str | None
 

@@ -9,6 +9,7 @@ from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.events import Health
 from hyperbit.controller.executor.motion.motion import ArmMotion
+from hyperbit.controller.messages.state import Board, Bus, LoopTimes, WorstCase
 from hyperbit.controller.program import Diagnostics, Fault, Mode, Snapshot, pack
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.run.master import Master
@@ -41,7 +42,7 @@ class Reports:
     ) -> None:
         self.changed = True
         self.real_time = "off"
-        self._health = Health({}, 0, None)
+        self._health = Health(LoopTimes(), 0, None)
         self._arm, self._master, self._motion, self._locked, self._journal = arm, master, motion, locked, journal
         self._size, self._simulated = len(arm.actuators), simulated
         self._next_snapshot = self._next_diagnostics = 0.0
@@ -109,8 +110,8 @@ class Reports:
         return Diagnostics(
             at=now,
             loop=self._health.loop,
-            buses=[asdict(bus) for bus in status.buses],
-            boards=[asdict(board) for board in status.boards],
+            buses=[Bus(**{**asdict(it), "worst_case": WorstCase(**asdict(it.worst_case))}) for it in status.buses],
+            boards=[Board(**asdict(it)) for it in status.boards],
             real_time=self.real_time[:1_000],
             counts=tuple(self._journal.counts),
             waits=self._motion.clearances.waits,

@@ -21,6 +21,7 @@ from hyperbit.controller.flight_recorder import FlightRecorder
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.host.output import flush_outputs
 from hyperbit.controller.host.process import Log, Notify, Quit
+from hyperbit.controller.messages.state import LoopTimes
 from hyperbit.controller.program import TICK
 
 if TYPE_CHECKING:
@@ -234,24 +235,24 @@ class Timekeeper:
             self._overruns += missed
             self.next_tick += missed * self._period
 
-    def drain_figures(self) -> dict[str, float]:
-        """Returns the figures since the last call [s], and resets them; see `Diagnostics.loop`."""
+    def drain_figures(self) -> LoopTimes:
+        """Returns the figures since the last call, and resets them."""
         count = max(len(self._works), 1)
         late = sorted(self._late)
-        status = {
-            "ticks": len(self._works),
-            "longest_period": max(self._periods, default=0.0),
-            "mean_work": sum(self._works) / count,
-            "longest_work": max(self._works, default=0.0),
-            "overruns": self._overruns,
-            "late_p50": late[len(late) // 2] if late else 0.0,
-            "late_p99": late[len(late) * 99 // 100] if late else 0.0,
-            "late_worst": late[-1] if late else 0.0,
-        }
+        times = LoopTimes(
+            ticks=len(self._works),
+            longest_period=max(self._periods, default=0.0),
+            mean_work=sum(self._works) / count,
+            longest_work=max(self._works, default=0.0),
+            overruns=self._overruns,
+            late_p50=late[len(late) // 2] if late else 0.0,
+            late_p99=late[len(late) * 99 // 100] if late else 0.0,
+            late_worst=late[-1] if late else 0.0,
+        )
         for figures in (self._late, self._periods, self._works):
             figures.clear()
         self._overruns = 0
-        return status
+        return times
 
 
 class Garbage:

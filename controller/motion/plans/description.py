@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec import UNSET
 
 from hyperbit.controller.manipulator.locked import transferred
 from hyperbit.controller.manipulator.notation import format_configuration, pose
+from hyperbit.controller.messages.goals import Plan, PlanPoint
 
 if TYPE_CHECKING:  # their kernels take seconds to import
     from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
@@ -32,39 +34,39 @@ def describe_solution(whole: Manipulator, reduced: Manipulator, solution: Soluti
 
 def describe_plan(
     whole: Manipulator, reduced: Manipulator, previous: Configuration, plan: TrajectoryPlan, pace: Pace
-) -> dict[str, Any]:
-    """Returns the fields of a plan: `message`, `waypoints`, its proof, and the tip bias if there is a tracker.
+) -> Plan:
+    """Returns a plan as the answer to `plan`.
 
     The plan is of the arm reduced by locked actuators, from the configuration `previous` (B,).
     """
     trajectory, before = plan.trajectory, reduced.actuator_states(previous)
     shift = np.zeros(trajectory.positions.shape[1]) if trajectory.bias is None else trajectory.bias
-    points = list[dict[str, Any]]()
+    points = list[PlanPoint]()
     for k, (solution, transition) in enumerate(zip(plan.solutions, plan.transitions, strict=True)):
         changes = np.diff(np.vstack([before, transition.stages]).astype(int), axis=0)
         before, position = transition.stages[-1], trajectory.positions[k]
         points.append(
-            {
-                "t": trajectory.times[k],
-                "goal": position if k in trajectory.fixed else position + shift,
-                "between": trajectory.between(k),
+            PlanPoint(
+                t=float(trajectory.times[k]),
+                goal=(position if k in trajectory.fixed else position + shift).tolist(),
+                between=trajectory.between(k),
                 **describe_solution(whole, reduced, solution, bool(trajectory.turns[k] < np.inf)),
-                "stages": [[whole.actuators[a] for a in np.flatnonzero(c)] for c in changes if c.any()],
-                "needed": needed(pace, solution, transition),
-                "excursion": transition.deviation,
-            }
+                stages=[[whole.actuators[a] for a in np.flatnonzero(c)] for c in changes if c.any()],
+                needed=needed(pace, solution, transition),
+                excursion=transition.deviation,
+            )
         )
     between = len(points) - len(trajectory.waypoints)
     along = f", {between} points between them" if between else ""
-    bias = {} if trajectory.bias is None else {"bias": trajectory.bias}
-    return {
-        "message": f"{len(trajectory.waypoints)} waypoints{along}, {plan.switches} switches",
-        "waypoints": points,
-        "switches": plan.switches,
-        "cost": plan.cost,
+    return Plan(
+        accepted=True,
+        message=f"{len(trajectory.waypoints)} waypoints{along}, {plan.switches} switches",
+        waypoints=points,
+        switches=plan.switches,
+        cost=plan.cost,
         **plan.proof(),
-        **bias,
-    }
+        bias=UNSET if trajectory.bias is None else trajectory.bias.tolist(),
+    )
 
 
 def needed(pace: Pace, solution: Solution, transition: Staged) -> float:

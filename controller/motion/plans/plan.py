@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ class TrajectoryPlan:
     def certificate(self) -> Certificate:
         return certificate(all(s.within_tolerance for s in self.solutions), self.bound, self.cost)
 
-    def proof(self) -> dict[str, str | bool | float | None]:
+    def proof(self) -> dict[str, Any]:
         """Returns the certificate of the whole plan's cost, as fields for JSON."""
         return proof(self.certificate, self.bound)
 

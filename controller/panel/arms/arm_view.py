@@ -10,8 +10,8 @@ from typing import Any
 import msgspec
 
 from hyperbit.controller.decoding.decoding import OTHER_FORM
+from hyperbit.controller.messages.reading import Message, UnreadCount
 from hyperbit.controller.network.client import Client, Unanswered
-from hyperbit.controller.network.messages import Message, UnreadCount
 from hyperbit.controller.panel.arms.arm_history import ArmHistory
 from hyperbit.controller.panel.arms.drawing import Drawing, cloud, picture
 from hyperbit.controller.panel.arms.faults import advised

@@ -11,9 +11,9 @@ import msgspec
 import zenoh
 
 from hyperbit.controller.decoding.decoding import Unreadable
+from hyperbit.controller.messages.reading import UnreadCount, read
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.network.fleet import is_name
-from hyperbit.controller.network.messages import UnreadCount, read
 from hyperbit.controller.network.reach import NoSession
 from hyperbit.controller.panel.arms.arm_view import ArmView
 from hyperbit.controller.panel.arms.metrics import Counters

@@ -12,8 +12,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from hyperbit.controller.decoding.decoding import convert
+from hyperbit.controller.messages.state import Diagnostics, LoopTimes
 from hyperbit.controller.network.fault_changes import ActiveFaults, active
-from hyperbit.controller.network.messages import Diagnostics, LoopTimes
 from hyperbit.controller.panel.arms.faults import ADVICE
 
 Message = Mapping[str, Any]

@@ -7,10 +7,11 @@ from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
+from hyperbit.controller.messages.arm import PlayableFault, Simulation
 from hyperbit.controller.motion.stages.program import pack_states, unpack_states
-from hyperbit.controller.planning.core.events import Payload
 from hyperbit.controller.planning.core.tasks import ArmStart
 from hyperbit.controller.program import Diagnostics, Ended, Mode, Settled, Snapshot, Welcome
 from hyperbit.controller.refusals.reasons import Reason
@@ -156,7 +157,7 @@ class ExecutorView:
         self.instance: int | None = None  # of the latest executor; None before the first connection
         self.connected, self.problem = False, "waiting for the executor"  # the problem: why there is no connection
         self.counted: int | None = None  # switches of all actuators when the first executor was met
-        self.simulation: Payload | None = None  # of simulated boards, for `arm`; None: real boards, or no connection
+        self.simulation: Simulation | None = None  # of simulated boards, for `arm`; None: real boards, or no connection
         self._travel, self._pace = travel, pace
         self._switched_at = np.full(len(manipulator.actuators), -np.inf)  # time of the last switch, from snapshots [s]
         self._was_connected = False
@@ -167,9 +168,8 @@ class ExecutorView:
         self.instance, self.connected = message.instance, True
         self.problem, self.simulation = "waiting for the executor's first snapshot", None
         if (boards := message.simulation) is not None:
-            faults = [{name: getattr(verb, name) for name in verb.__struct_fields__} for verb in boards.faults]
-            names = {kind: list(getattr(boards, kind)) for kind in ("boards", "buses", "interlocks")}
-            self.simulation = {"faults": faults, **names}
+            faults = [PlayableFault(**structs.asdict(verb)) for verb in boards.faults]
+            self.simulation = Simulation(faults, list(boards.boards), list(boards.buses), list(boards.interlocks))
         if self.counted is None:
             self.counted = sum(map(max, known, message.counts)) if message.counts else sum(known)
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from hyperbit.controller import program
 from hyperbit.controller.host.process import Log, Quit
+from hyperbit.controller.messages.arm import Running
+from hyperbit.controller.messages.goals import internal_error
 from hyperbit.controller.motion.tracking.tracking import tracking_of
 from hyperbit.controller.planning.core import events
 from hyperbit.controller.planning.core.arm import ExecutorView
@@ -25,7 +27,6 @@ from hyperbit.controller.planning.core.status import Status
 from hyperbit.controller.planning.core.stream import Stream
 from hyperbit.controller.planning.core.tasks import ImprovePlan, Planned, Tables, VersionedScene
 from hyperbit.controller.refusals.reasons import Reason
-from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.method import MINIMUM_SWITCH
 
 if TYPE_CHECKING:
@@ -177,23 +178,23 @@ class Core:
                     self._requests.receive_request(request)
         except Exception:
             self._act(Log(logging.ERROR, f"a request on {request.key} failed\n{traceback.format_exc()}"))
-            answer = events.refused(Refusal(Reason.INTERNAL_ERROR))
+            answer = internal_error()
             if (pending := self._parts.requests.find(Pending, request.number)) is not None:
                 self._parts.requests.end(pending, answer)
             else:
                 self._act(events.Reply(request.number, answer))
 
-    def _live(self) -> events.Payload:
+    def _live(self) -> events.LiveArm:
         state, goal = self._view.state, self._programs.current
         faults = () if state is None else state.snapshot.faults
-        waypoints = () if goal is None or goal.report is None else goal.report.waypoints()
-        return {
-            "limits": [fault.message for fault in faults if fault.code == "board-limits"],
-            "sent_obstacles": self._obstacles.regions,
-            "simulated": self._parts.simulated,
-            "simulation": self._view.simulation,
-            "running": None if goal is None else {"goal": goal.id, "waypoints": waypoints},
-        }
+        waypoints = [] if goal is None or goal.report is None else goal.report.waypoints()
+        return events.LiveArm(
+            limits=[fault.message for fault in faults if fault.code == "board-limits"],
+            sent_obstacles=self._obstacles.regions,
+            simulated=self._parts.simulated,
+            simulation=self._view.simulation,
+            running=None if goal is None else Running(goal.id, waypoints),
+        )
 
     def _receive(self, message: program.Up) -> None:
         match message:

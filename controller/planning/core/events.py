@@ -1,17 +1,16 @@
 """Events and actions of the planner's core, as plain data."""
 
-from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 from hyperbit.controller.host.process import Log, Notify, Quit
+from hyperbit.controller.messages.arm import Running, Simulation
+from hyperbit.controller.messages.goals import Answer, Feedback, Result
+from hyperbit.controller.messages.parts import Region
+from hyperbit.controller.messages.state import Diagnostics, State
 from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
 from hyperbit.controller.motion.decoding.requests import DegradeMessage, FaultMessage
-from hyperbit.controller.planning.core.tasks import Answer, Task
+from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.program import Down, Fault, Up
-from hyperbit.controller.refusals import codes
-from hyperbit.controller.refusals.refusal import Refusal
-
-Payload = Mapping[str, Any]
 
 # --- contents of requests
 
@@ -23,7 +22,7 @@ class CancelMessage(NamedTuple):
 
 class SentObstacles(NamedTuple):
     obstacles: Any  # decoded for the workers
-    regions: list[Any]  # unchanged, for the description of the arm
+    regions: list[Region]  # unchanged, for the description of the arm
 
 
 Key = Literal["goal", "jog", "plan", "cancel", "stop", "reset", "degrade", "obstacles", "fault", "arm"]
@@ -80,7 +79,7 @@ class LinkDown(NamedTuple):  # repeated only if the reason changes
 
 class Answered(NamedTuple):
     task: int
-    answer: Answer
+    answer: tasks.Answer
     last: bool  # whether no other answer to the task follows
 
 
@@ -106,14 +105,22 @@ Event = Request | Unsent | Arrived | FromExecutor | LinkDown | Answered | Publis
 # --- actions
 
 
+class LiveArm(NamedTuple):  # the fields of `Description` that change
+    limits: list[str]
+    sent_obstacles: list[Region]
+    simulated: bool
+    simulation: Simulation | None
+    running: Running | None
+
+
 class Reply(NamedTuple):
     number: int
-    payload: Payload
+    answer: Answer | LiveArm
 
 
 class Publish(NamedTuple):
     key: Literal["state", "diagnostics", "feedback"]
-    payload: Payload
+    message: State | Diagnostics | Feedback
 
 
 class Identity(NamedTuple):  # identifies a program for ever
@@ -125,7 +132,7 @@ class PublishResult(NamedTuple):  # the shell publishes it, notes durably that i
     number: int
     identity: Identity
     inherited: bool  # an earlier planner process accepted the goal: clients must first find this process
-    payload: Payload
+    result: Result
 
 
 class AcceptanceEntry(NamedTuple):
@@ -159,7 +166,7 @@ class ToExecutor(NamedTuple):  # dropped without a connection
 
 class Start(NamedTuple):  # answered by one or several `Answered` of this number
     number: int
-    task: Task
+    task: tasks.Task
 
 
 class Abandon(NamedTuple):  # its worker ends the task soon; the last answer still comes
@@ -184,18 +191,3 @@ class Fail(NamedTuple):  # a worker does not answer: the process must end; the s
 
 ForShell = Disconnect | Wake | Notify | Log | Fail
 Action = Reply | Publish | PublishResult | Record | RecordCounts | Start | Abandon | Hurry | ToExecutor | ForShell
-
-
-def done(message: str) -> Payload:
-    return {"accepted": True, "code": codes.SUCCESSFUL, "message": message}
-
-
-def refused(refusal: Refusal, goal: str | None = None) -> Payload:
-    """Returns the answer to a refused request. `goal`: id of the refused goal; needed if the refusal has none."""
-    return {
-        "accepted": False,
-        "id": refusal.goal if goal is None else goal,
-        "code": refusal.code,
-        "reason": refusal.reason.value,
-        "message": str(refusal),
-    }

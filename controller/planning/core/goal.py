@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec import UNSET
 
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.names import shortened
 from hyperbit.controller.manipulator.notation import format_configuration, pose
+from hyperbit.controller.messages.arm import RunningWaypoint
+from hyperbit.controller.messages.goals import Answer, Feedback
+from hyperbit.controller.messages.parts import Pose
+from hyperbit.controller.messages.state import Progress
 from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
 from hyperbit.controller.motion.stages.feed import Feed, PlannedPoint, PlanProof, Route
 from hyperbit.controller.motion.stages.program import delay_of, in_groups
 from hyperbit.controller.motion.targets import GoalTarget, measured_pose
 from hyperbit.controller.motion.trajectory import Trajectory
 from hyperbit.controller.planning.core.arm import ArmState, Measured, States, packed
-from hyperbit.controller.planning.core.events import Payload, PublishResult, done
+from hyperbit.controller.planning.core.events import PublishResult
 from hyperbit.controller.planning.core.parts import Parts, Pending, Ticket
 from hyperbit.controller.planning.core.tasks import Basis, Planned
 from hyperbit.controller.program import Ended, Program, Settled
@@ -81,16 +85,20 @@ class GoalReport:
         where = target.position.tolist(), target.tolerance, rotation, angle, target.configuration
         return Context(self._goal, self.count, last, *where, numbers, sent, proof, homed=homed)
 
-    def present(self) -> Payload:
+    def present(self) -> tuple[int | None, Pose]:
         """Returns the waypoint, None before the first, and the target; before the start that of the first point."""
         waypoint = self._trajectory.last(self.point)
-        return {"waypoint": waypoint if waypoint >= 0 else None, "target": self._asked(max(self.point, 0))}
+        return waypoint if waypoint >= 0 else None, self._asked(max(self.point, 0))
 
-    def waypoints(self) -> Sequence[Payload]:
+    def waypoints(self) -> list[RunningWaypoint]:
         """Returns all waypoints as the goal gave them, not corrected by the tip bias."""
-        return [{"t": self._trajectory.times[k], **self._asked(k)} for k in self._trajectory.waypoints.tolist()]
+        times = self._trajectory.times.tolist()
+        every = ((times[k], self._asked(k)) for k in self._trajectory.waypoints.tolist())
+        return [RunningWaypoint(t, pose.position, pose.orientation) for t, pose in every]
 
-    def settled(self, message: Settled, measured: Measured, deviation: float | None) -> Payload | None:
+    def settled(
+        self, message: Settled, measured: Measured, deviation: float | None, remaining: float
+    ) -> Feedback | None:
         point, trajectory = message.mark, self._trajectory
         self._stages += message.stages
         so_far = self._deviation
@@ -98,16 +106,17 @@ class GoalReport:
         if trajectory.between(point):
             return None
         self.reached = trajectory.last(point) + 1
-        feedback = {
-            "id": self._goal,
-            "waypoint": trajectory.last(point),
-            "waypoints": self.count,
-            "switches": message.switches,
-            "stages": self._stages,
-            "excursion": self._deviation,
+        feedback = Feedback(
+            id=self._goal,
+            waypoint=trajectory.last(point),
+            waypoints=self.count,
+            switches=message.switches,
+            stages=self._stages,
+            excursion=self._deviation,
             **measured_pose(self._manipulator, measured, self.target(point)),
-            **({} if trajectory.bias is None else {"bias": trajectory.bias}),
-        }
+            bias=UNSET if trajectory.bias is None else trajectory.bias.tolist(),
+            remaining=remaining,
+        )
         self._stages, self._deviation = 0, 0.0
         return feedback
 
@@ -124,7 +133,7 @@ class GoalReport:
         at = f"after {nth_waypoint(trajectory.last(point))} the measured tip is {away}"
         return f"{at}, path_tolerance {trajectory.path_tolerance:g}"
 
-    def _asked(self, point: int) -> Payload:
+    def _asked(self, point: int) -> Pose:
         """Returns position and orientation of a point; the orientation is None if any is accepted."""
         trajectory = self._trajectory
         position = trajectory.positions[point]
@@ -133,7 +142,7 @@ class GoalReport:
         frame = np.eye(4)
         frame[:3, :3] = trajectory.rotations[point]
         orientation = pose(self._manipulator, frame)["orientation"] if trajectory.turns[point] < np.inf else None
-        return {"position": position.tolist(), "orientation": orientation}
+        return Pose(position.tolist(), orientation)
 
     def target(self, point: int) -> GoalTarget:
         trajectory, manipulator = self._trajectory, self._manipulator
@@ -173,7 +182,7 @@ class Goal(Pending):
     program: Program = field(init=False)  # as it was sent
     report: GoalReport | None = None  # None: a jog has no path and no feedback
     feed: Feed = field(init=False)
-    answer: dict[str, Any] = field(init=False)  # sent when the ledger has the acceptance
+    answer: Answer = field(init=False)  # sent when the ledger has the acceptance
     delay: float = 0.0  # the trajectory's t = 0 in the program's time [s]
     unchecked: bool = False  # it cannot be checked: the arm's position is unknown
 
@@ -193,13 +202,10 @@ class Goal(Pending):
         """When its last stage is expected to end [s]; in the past if the arm is late or waits."""
         return self.begin + self.feed.end(self.stage_began - self.begin)
 
-    def present(self, wall: float) -> Payload:
-        """Returns its fields of `state`; `wall`: UNIX time of the zero of the planner's clock [s]."""
+    def progress(self, wall: float) -> Progress:
+        """Returns its progress; `wall`: UNIX time of the zero of the planner's clock [s]."""
         reached, waypoints = (0, 1) if self.report is None else (self.report.reached, self.report.count)
-        begins, ends = round(wall + self.begin, 1), round(wall + self.end, 1)
-        progress = {"waypoints": waypoints, "reached": reached, "begins": begins, "ends": ends}
-        point = {"waypoint": None, "target": None} if self.report is None else self.report.present()
-        return {"goal": self.id, **point, "progress": progress}
+        return Progress(waypoints, reached, ends=round(wall + self.end, 1), begins=round(wall + self.begin, 1))
 
 
 def jog_stages(parts: Parts, state: ArmState, wanted: dict[int, int]) -> States:
@@ -273,8 +279,8 @@ def make_program(parts: Parts, goal: Goal, state: ArmState) -> None:
         context = Context(goal.id, sent=moment.wall, jogged=wanted)
     if unsure is not None and not scene.free:  # motions from an unknown position are not checked
         words += f"; collisions{' of the homing' if goal.report else ''} were not checked, because {unsure}"
-    homing = {"homing": state.homed_first} if goal.report else {}
-    goal.answer = {**done(words if goal.report else words[:1_000]), "id": goal.id, **homing}
+    told, homing = words if goal.report else words[:1_000], state.homed_first if goal.report else UNSET
+    goal.answer = Answer(accepted=True, id=goal.id, message=told, homing=homing)
     route = Route(state.snapshot.outputs, points, times, others, pace.lead, goal.delay, most)
     number = parts.next_number()
     goal.feed = feed = Feed(parts.view.manipulator, number, route, strict, scene.generation, proof)

@@ -10,10 +10,11 @@ import msgspec
 
 from hyperbit.controller.host.journal import fields_of_refusal
 from hyperbit.controller.host.process import Log
+from hyperbit.controller.messages.goals import refused
 from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
 from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.arm import obstruction, packed
-from hyperbit.controller.planning.core.events import Request, refused
+from hyperbit.controller.planning.core.events import Request
 from hyperbit.controller.planning.core.goal import Goal, jog_stages, make_program, unsure_of
 from hyperbit.controller.planning.core.parts import Parts
 from hyperbit.controller.planning.core.premises import Premises

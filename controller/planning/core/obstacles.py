@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from hyperbit.controller.messages.goals import done, refused
+from hyperbit.controller.messages.parts import Region
 from hyperbit.controller.planning.core import tasks
-from hyperbit.controller.planning.core.events import SentObstacles, ToExecutor, done, refused
+from hyperbit.controller.planning.core.events import SentObstacles, ToExecutor
 from hyperbit.controller.planning.core.parts import Parts, Pending
 from hyperbit.controller.planning.core.tasks import Answer, SceneBuilt, VersionedScene
 from hyperbit.controller.program import Clearance, Question
@@ -48,7 +50,7 @@ class ObstacleOwner:
         return self._built.scene if self._built.scene.generation == self.generation else None
 
     @property
-    def regions(self) -> list[Any]:
+    def regions(self) -> list[Region]:
         return [] if self._sent is None else self._sent.regions
 
     # --- requests

@@ -12,9 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
 
+from hyperbit.controller.messages.goals import Answer
+from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.arm import ExecutorView
-from hyperbit.controller.planning.core.events import Abandon, Action, Fail, Hurry, Payload, Reply, Start
-from hyperbit.controller.planning.core.tasks import Answer, PrepareSearch, Task
+from hyperbit.controller.planning.core.events import Abandon, Action, Fail, Hurry, Reply, Start
+from hyperbit.controller.planning.core.tasks import PrepareSearch, Task
 
 if TYPE_CHECKING:
     from hyperbit.controller.motion.stages.pacing import Pace
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 HUNG = 60.0  # [s] after which a worker with an abandoned task counts as hung
 MOST_UNRESOLVED = 256  # tickets without an epoch; each stream of set-points without an executor leaves one
 MOST_CANCELED = 256  # remembered cancels of ids, for requests that arrived earlier but reach the core later
-OnAnswer = Callable[[Answer], None]
+OnAnswer = Callable[[tasks.Answer], None]
 
 
 @dataclass(eq=False)
@@ -145,7 +147,7 @@ class Jobs:
         if number is not None and (job := self._jobs.get(number)) is not None and job.on_answer is not None:
             self._act(Hurry(number))
 
-    def answered(self, number: int, answer: Answer, last: bool) -> None:
+    def answered(self, number: int, answer: tasks.Answer, last: bool) -> None:
         job = self._jobs.pop(number, None) if last else self._jobs.get(number)
         if job is not None and job.on_answer is not None:
             job.on_answer(answer)
@@ -199,11 +201,11 @@ class PendingRequests:
         request = self._pending.get(number)
         return request if isinstance(request, kind) else None
 
-    def end(self, request: Pending, payload: Payload) -> None:
+    def end(self, request: Pending, answer: Answer) -> None:
         """Answers a request, unless it is over, and abandons its task."""
         if self._pending.get(request.number) is request:
             self._jobs.abandon(request.job)
-            self._act(Reply(request.number, payload))
+            self._act(Reply(request.number, answer))
             self.forget(request)
 
     def forget(self, request: Pending) -> None:

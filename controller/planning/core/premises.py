@@ -16,10 +16,10 @@ from hyperbit.controller.armfile.locks import lock_warning, locks_in_words
 from hyperbit.controller.armfile.settings import TrackerSettings
 from hyperbit.controller.host.process import Log
 from hyperbit.controller.manipulator.locked import require_states
+from hyperbit.controller.messages.state import TrackerStatus
 from hyperbit.controller.motion.decoding.requests import DegradeMessage
 from hyperbit.controller.motion.tracking.bias import DRIFT, TipBias, Tracker, decode
 from hyperbit.controller.planning.core.arm import ArmState, ExecutorView
-from hyperbit.controller.planning.core.events import Payload
 from hyperbit.controller.planning.core.obstacles import ObstacleOwner
 from hyperbit.controller.planning.core.parts import Parts
 from hyperbit.controller.planning.core.tasks import Answer, Basis, BuildTables, Failed, Tables
@@ -157,17 +157,17 @@ class TipBiasEstimator:
     def bias(self) -> NDArray[np.float64]:
         return self._filter.at(self._moment.now)
 
-    def status(self) -> Payload:
+    def status(self) -> TrackerStatus:
         estimate, deviation = self._filter.estimate or (None, None)
-        return {
+        return TrackerStatus(
             **self._counts,
-            "last_refusal": self._last_refusal,
-            "outliers": self._filter.track.outliers,
-            "jumps": self._filter.track.jumps,
-            "estimate": None if estimate is None else estimate.tolist(),
-            "deviation": deviation,
-            "bias": self.bias().tolist(),
-        }
+            last_refusal=self._last_refusal,
+            outliers=self._filter.track.outliers,
+            jumps=self._filter.track.jumps,
+            estimate=None if estimate is None else estimate.tolist(),
+            deviation=deviation,
+            bias=self.bias().tolist(),
+        )
 
 
 class Premises(NamedTuple):

@@ -239,10 +239,10 @@ class Programs:
                 self._results.ended(message, goal)
             elif goal.report is not None:
                 deviation = goal.feed.deviation(message.mark) if message.planned else None
-                feedback = goal.report.settled(message, self._view.measured_in(message), deviation)
+                remaining = round(max(goal.end - self._moment.now, 0.0), 3)
+                feedback = goal.report.settled(message, self._view.measured_in(message), deviation, remaining)
                 if feedback is not None:
-                    remaining = round(max(goal.end - self._moment.now, 0.0), 3)
-                    self._act(Publish("feedback", {**feedback, "remaining": remaining}))
+                    self._act(Publish("feedback", feedback))
 
     def _feed(self, goal: Goal) -> None:
         if goal.state == "running" and goal.outcome is None and (message := goal.feed.message()) is not None:

@@ -3,17 +3,21 @@
 from dataclasses import dataclass
 from functools import partial
 
+from msgspec.structs import replace
+
+from hyperbit.controller import program
+from hyperbit.controller.messages.goals import Answer, done, refused
 from hyperbit.controller.motion.decoding.goal import GoalMessage
 from hyperbit.controller.motion.decoding.requests import DegradeMessage, FaultMessage
 from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.arm import obstruction
-from hyperbit.controller.planning.core.events import CancelMessage, Payload, Reply, Request, ToExecutor, done, refused
+from hyperbit.controller.planning.core.events import CancelMessage, Reply, Request, ToExecutor
 from hyperbit.controller.planning.core.goal import homing_words
 from hyperbit.controller.planning.core.goals import EXECUTOR_TIMEOUT, Goals
 from hyperbit.controller.planning.core.parts import Parts, Pending, Ticket
 from hyperbit.controller.planning.core.premises import Premises
 from hyperbit.controller.planning.core.programs import Programs
-from hyperbit.controller.program import Answer, Cancel, Down, Lock, PlayFault, Reset
+from hyperbit.controller.program import Cancel, Down, Lock, PlayFault, Reset
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal, no_motion
 
@@ -81,11 +85,10 @@ class Queries:
     def _answered(self, query: Query, answer: tasks.Answer) -> None:
         query.job = None
         if isinstance(answer, tasks.Described):
-            state, payload = self._parts.view.state, answer.payload
+            state, plan = self._parts.view.state, answer.plan
             if state is not None:  # the motions of actuators of unknown position come before the plan
-                message = payload["message"] + homing_words(state)
-                payload = {**payload, "message": message, "homing": state.homed_first}
-            self._requests.end(query, payload)
+                plan = replace(plan, message=plan.message + homing_words(state), homing=state.homed_first)
+            self._requests.end(query, plan)
         else:
             self._refuse(query, tasks.refusal_of(answer))
 
@@ -157,7 +160,7 @@ class ExecutorRequests:
     def unsent(self, number: int, reason: str) -> None:
         self._finish(number, refused(Refusal(Reason.NO_EXECUTOR, why=reason)))
 
-    def answered(self, message: Answer) -> None:
+    def answered(self, message: program.Answer) -> None:
         refusal = message.refused
         self._finish(message.request, done(message.message) if refusal is None else refused(refusal.refusal))
 
@@ -195,10 +198,10 @@ class ExecutorRequests:
         else:
             self.unsent(number, self._view.problem)
 
-    def _finish(self, number: int, payload: Payload) -> None:
+    def _finish(self, number: int, answer: Answer) -> None:
         if (request := self._requests.find(ExecutorRequest, number)) is not None:
             self._parts.admission.answered(number)
-            self._requests.end(request, payload)
+            self._requests.end(request, answer)
 
     def _sent(self) -> list[ExecutorRequest]:
         return [request for request in self._requests.of(ExecutorRequest) if request.reset is None]

@@ -9,16 +9,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
+from msgspec import UNSET
 
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.decoding.decoding import Unreadable, decode_packed
 from hyperbit.controller.host.journal import fields_of_result
 from hyperbit.controller.host.process import Log
+from hyperbit.controller.messages.goals import Result, Travel
 from hyperbit.controller.motion.stages.feed import PlanProof
 from hyperbit.controller.motion.targets import GoalTarget, measured_pose
 from hyperbit.controller.planning.core import events
 from hyperbit.controller.planning.core.arm import Measured
-from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Payload, ResultEntry, ToExecutor
+from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, ResultEntry, ToExecutor
 from hyperbit.controller.planning.core.goal import Context, Goal, GoalOutcome
 from hyperbit.controller.planning.core.parts import Parts
 from hyperbit.controller.program import Acknowledge, Ended
@@ -34,9 +36,9 @@ SENT_AGAIN_WITHIN = 5.0  # [s] after its greeting; by then the executor has sent
 @dataclass(eq=False)
 class Untold:
     identity: Identity
-    result: int | None  # number at the executor, for the acknowledgement; None: unknown to the executor
+    number: int | None  # of the result at the executor, for the acknowledgement; None: unknown to the executor
     accepted: AcceptanceEntry  # in case the ledger lacks it
-    payload: Payload
+    result: Result
 
 
 class Owed(NamedTuple):
@@ -90,7 +92,7 @@ class Results:
         identity = Identity(view.instance or 0, message.program)
         for untold in self._on_way.values():
             if untold.identity == identity:  # on its way; the executor waits for its acknowledgement
-                untold.result = message.result
+                untold.number = message.result
                 return
         if context is None:
             text = f"the result of program {message.program} has no context that this planner can decode: "
@@ -112,18 +114,18 @@ class Results:
                 words.append("commanded, not verified")
             outcome = outcome._replace(message="; ".join(words))
         view.ended(outcome.sentence)
-        payload = result_of(view.manipulator, message, measured, context, outcome, target)
+        result = result_of(view.manipulator, message, measured, context, outcome, target)
         accepted = AcceptanceEntry(context.id, context.sent, context.waypoints)
-        self._tell(Untold(identity, message.result, accepted, payload), goal)
+        self._tell(Untold(identity, message.result, accepted, result), goal)
 
     def lost(self, identity: Identity, data: bytes, outcome: GoalOutcome, switches: int, goal: Goal | None) -> None:
         """Ends a program that the executor no longer reports; `goal`: None if of an earlier process."""
         context, manipulator = decode_context(data) or Context("unknown"), self._view.manipulator
         unknown = bytes((len(manipulator.actuators) + 7) // 8)
         silent = Ended(0, identity.program, b"", "aborted", outcome.message, -1, switches, unknown, unknown)
-        payload = result_of(manipulator, silent, self._view.measured, context, outcome, None)
+        result = result_of(manipulator, silent, self._view.measured, context, outcome, None)
         accepted = AcceptanceEntry(context.id, context.sent, context.waypoints)
-        self._tell(Untold(identity, None, accepted, payload), goal)
+        self._tell(Untold(identity, None, accepted, result), goal)
 
     def met(self, instance: int) -> None:
         """Ends, as lost, the results that earlier executors owed, because another executor has come.
@@ -165,8 +167,8 @@ class Results:
     def recorded(self, entry: int) -> None:
         """Acknowledges a recorded result."""
         untold = self._on_way.pop(entry, None)
-        if untold is not None and untold.result is not None and untold.identity.instance == self._view.instance:
-            self._act(ToExecutor(Acknowledge(untold.result)))
+        if untold is not None and untold.number is not None and untold.identity.instance == self._view.instance:
+            self._act(ToExecutor(Acknowledge(untold.number)))
 
     def _tell(self, untold: Untold, goal: Goal | None) -> None:
         owed = self._owed.pop(untold.identity, None)
@@ -175,23 +177,22 @@ class Results:
             return
         self._told.add(untold.identity)
         if owed is not None and owed.published is not None:
-            untold.payload = {**untold.payload, "repeated": True}
-        number, payload = self.next_entry(), untold.payload
+            untold.result = msgspec.structs.replace(untold.result, repeated=True)
+        number, result = self.next_entry(), untold.result
         self._on_way[number] = untold
-        publication = events.PublishResult(number, untold.identity, goal is None, payload)
+        publication = events.PublishResult(number, untold.identity, goal is None, result)
         if goal is None or goal.unrecorded is None:
             self._act(publication)
         else:
             goal.publication = publication
-        text = f"goal {payload['id']} {payload['status']}: {payload['message']}"
-        self._act(Log(logging.INFO, text, fields_of_result(payload)))
+        text = f"goal {result.id} {result.status}: {result.message}"
+        self._act(Log(logging.INFO, text, fields_of_result(result.id or "", result.status, result.code)))
 
     def _record(self, untold: Untold) -> None:
-        payload, number = untold.payload, self.next_entry()
-        fields = payload["status"], payload["code"], payload["message"], payload["switches"]
+        told, number = untold.result, self.next_entry()
         self._on_way[number] = untold
-        result = ResultEntry(self._moment.wall, *fields)
-        self._act(events.Record(number, untold.identity, untold.accepted, result))
+        entry = ResultEntry(self._moment.wall, told.status, told.code, told.message, told.switches)
+        self._act(events.Record(number, untold.identity, untold.accepted, entry))
 
 
 def decode_context(data: bytes) -> Context | None:
@@ -203,7 +204,7 @@ def decode_context(data: bytes) -> Context | None:
     return context
 
 
-# --- the outcome, and the payload of a result
+# --- the outcome, and the result
 
 
 def outcome_of(manipulator: Manipulator, ended: Ended, measured: Measured, context: Context) -> GoalOutcome:
@@ -264,36 +265,32 @@ def result_of(
     context: Context,
     outcome: GoalOutcome,
     target: GoalTarget | None,
-) -> Payload:
-    """Returns the payload of a result.
+) -> Result:
+    """Returns the result of a goal or jog.
 
     The certificate belongs to the plan from where the goal began. It is valid only if the arm did exactly the planned
     switches; otherwise `certificate` is "unknown". Errors are relative to `target`, if there is one.
     """
     proof, labels = context.proof, manipulator.actuators
-    if context.jogged or not context.position:
-        travels = [
-            {"actuator": labels[travel.actuator], "state": STATES[travel.state], "seconds": travel.seconds}
-            for travel in ended.travels
-        ]
-        shown: Payload = {"travels": travels}
-    else:
-        as_planned = proof if outcome.status == "succeeded" and proof and proof.switches == ended.switches else None
-        kind = "unknown" if as_planned is None else as_planned.certificate
-        known = kind in ("optimal", "bound")
-        shown = {
-            "planned_switches": None if proof is None else proof.switches,
-            "optimal": kind == "optimal" if known else None,
-            "lower_bound": as_planned.bound if as_planned is not None and known else None,
-            "certificate": kind,
-        }
-    return {
-        "id": context.id,
-        "status": outcome.status,
-        "code": outcome.code,
-        "message": outcome.message,
-        "switches": ended.switches,
+    result = Result(
+        id=context.id,
+        status=outcome.status,
+        code=outcome.code,
+        message=outcome.message,
+        switches=ended.switches,
         **measured_pose(manipulator, measured, target),
-        **({} if context.bias is None else {"bias": context.bias}),
-        **shown,
-    }
+        bias=UNSET if context.bias is None else context.bias,
+    )
+    if context.jogged or not context.position:
+        travels = [Travel(labels[it.actuator], STATES[it.state], it.seconds) for it in ended.travels]
+        return msgspec.structs.replace(result, travels=travels)
+    as_planned = proof if outcome.status == "succeeded" and proof and proof.switches == ended.switches else None
+    kind = "unknown" if as_planned is None else as_planned.certificate
+    known = kind in ("optimal", "bound")
+    return msgspec.structs.replace(
+        result,
+        planned_switches=None if proof is None else proof.switches,
+        optimal=kind == "optimal" if known else None,
+        lower_bound=as_planned.bound if as_planned is not None and known else None,
+        certificate=kind,
+    )

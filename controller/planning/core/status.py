@@ -1,23 +1,28 @@
-"""The payloads of `state` and `diagnostics`, their times of publication, and messages to systemd and the log."""
+"""The messages on `state` and `diagnostics`, their times of publication, and messages to systemd and the log."""
 
 import logging
 import math
 from collections.abc import Iterable, Iterator
+from typing import Any
 
-import msgspec
+from msgspec import UNSET, structs
 
+from hyperbit.controller import program
 from hyperbit.controller.host.journal import fields_of_fault, message_id
 from hyperbit.controller.host.process import Log, Notify
 from hyperbit.controller.manipulator.notation import format_configuration, pose
+from hyperbit.controller.messages import state as messages
+from hyperbit.controller.messages.parts import Pose
+from hyperbit.controller.messages.state import Diagnostics, Lock, LoopTimes, State
 from hyperbit.controller.motion.targets import measured_tip
-from hyperbit.controller.planning.core.events import Payload, Publish
+from hyperbit.controller.planning.core.events import Publish
 from hyperbit.controller.planning.core.goals import Goals
 from hyperbit.controller.planning.core.parts import Parts
 from hyperbit.controller.planning.core.premises import Premises
 from hyperbit.controller.planning.core.programs import Programs
 from hyperbit.controller.planning.core.requests import Queries
 from hyperbit.controller.planning.core.stream import Stream
-from hyperbit.controller.program import Diagnostics, Fault
+from hyperbit.controller.program import Fault
 
 STATE_EVERY, DIAGNOSTICS_EVERY = 0.05, 1.0  # [s]
 LEAST_GAP = 0.002  # [s] between two states, at least
@@ -29,7 +34,6 @@ WARNINGS = frozenset(  # codes of what stops no motion
         *("unknown-position", "degraded", "not-commissioned"),
     )
 )
-NO_GOAL = dict.fromkeys(("goal", "waypoint", "target", "progress"))
 
 
 class Status:
@@ -41,7 +45,7 @@ class Status:
         self._goals, self._queries, self._stream = goals, queries, stream
         self.warnings: tuple[Fault, ...] = ()  # of the shell, which logs them itself
         # The fields of `state` that depend only on measured states, and these states, packed.
-        self._measured: tuple[tuple[bytes, bytes] | None, Payload] | None = None
+        self._measured: tuple[tuple[bytes, bytes] | None, dict[str, Any]] | None = None
         self.changed = True  # whether `state` may have changed since it was published
         self._published = self._diagnosed = -math.inf
         self._status = ""
@@ -58,8 +62,8 @@ class Status:
 
     def publish_state(self) -> None:
         self.changed, self._published = False, self._moment.now
-        payload, active = self.state(), by_code(self._faults())
-        self._act(Publish("state", payload))
+        state, active = self.state(), by_code(self._faults())
+        self._act(Publish("state", state))
         for (code, source), fault in active.items():
             if (code, source) not in self._logged:
                 level = logging.WARNING if code in WARNINGS else logging.ERROR
@@ -68,8 +72,8 @@ class Status:
             fields = {**fields_of_fault(code, source), "MESSAGE_ID": message_id("fault-over")}
             self._act(Log(logging.INFO, f"{code} at {source} is over", fields))
         self._logged = active
-        simulated = " (simulated)" if payload["simulated"] else ""
-        if (status := f"STATUS={payload['mode']}{simulated}: {payload['reason']}") != self._status:
+        simulated = " (simulated)" if state.simulated else ""
+        if (status := f"STATUS={state.mode}{simulated}: {state.reason}") != self._status:
             self._status = status
             self._act(Notify(status))
 
@@ -80,10 +84,10 @@ class Status:
     def _state_due(self) -> float:
         return self._published + (LEAST_GAP if self.changed else SILENCE)
 
-    # --- payloads
+    # --- messages
 
-    def state(self) -> Payload:
-        """Returns the payload of `state`; its tip is computed from the measured actuator states."""
+    def state(self) -> State:
+        """Returns `state`; its tip is computed from the measured actuator states."""
         premises, state, manipulator = self._premises, self._view.state, self._view.manipulator
         (mode, reason), goal = premises.locks.mode(), self._programs.current
         made_from = None if state is None else (state.snapshot.measured, state.snapshot.known)
@@ -92,45 +96,49 @@ class Status:
             tip = measured_tip(manipulator, measured)
             spelled = None if tip is None else format_configuration(manipulator, manipulator.configuration(measured))
             known = [None if s < 0 else s for s in measured.tolist()]
-            shown = None if tip is None else pose(manipulator, tip)
+            shown = None if tip is None else Pose(**pose(manipulator, tip))
             self._measured = made_from, {"configuration": spelled, "measured": known, "tip": shown}
         age = 0.0 if state is None else max(self._moment.now - state.snapshot.at, 0.0)
-        return {
-            "stamp": self._moment.wall - age,
-            "mode": mode,
-            "reason": reason,
-            "simulated": self._parts.simulated,
+        waypoint, target = (None, None) if goal is None or goal.report is None else goal.report.present()
+        return State(
+            stamp=self._moment.wall - age,
+            mode=mode,
+            reason=reason,
+            simulated=self._parts.simulated,
             **self._measured[1],
-            "commanded": None if state is None or not state.known else state.states.tolist(),
-            "unread": [] if state is None else state.unread,
-            "homing": [] if state is None else state.homed_first,
-            **(NO_GOAL if goal is None else goal.present(self._moment.wall - self._moment.now)),
-            "obstacles": premises.obstacles.generation,
-            "faults": [*map(msgspec.structs.asdict, by_code((*self._faults(), *self.warnings)).values())],
-            "degraded": [{"actuator": label, "state": locked} for label, locked in premises.locks.listed],
-            **({} if premises.tip_bias is None else {"bias": premises.tip_bias.bias().tolist()}),
-        }
+            commanded=None if state is None or not state.known else state.states.tolist(),
+            unread=[] if state is None else state.unread,
+            homing=[] if state is None else state.homed_first,
+            goal=None if goal is None else goal.id,
+            waypoint=waypoint,
+            target=target,
+            progress=None if goal is None else goal.progress(self._moment.wall - self._moment.now),
+            obstacles=premises.obstacles.generation,
+            faults=[messages.Fault(*structs.astuple(it)) for it in by_code((*self._faults(), *self.warnings)).values()],
+            degraded=[Lock(label, locked) for label, locked in premises.locks.listed],
+            bias=UNSET if premises.tip_bias is None else premises.tip_bias.bias().tolist(),
+        )
 
-    def diagnostics(self) -> Payload:
-        """Returns the payload of `diagnostics`; fields that need the executor are empty without it."""
+    def diagnostics(self) -> Diagnostics:
+        """Returns `diagnostics`; fields that need the executor are empty without it."""
         view, tip_bias, now = self._view, self._premises.tip_bias, self._moment.now
-        latest = view.diagnostics or Diagnostics(now, {}, [], [], "off", (), 0, 0)
-        return {
-            "stamp": self._moment.wall - max(now - latest.at, 0.0),
-            "loop": latest.loop,
-            "buses": latest.buses,
-            "boards": latest.boards,
-            "queues": {"inbox": self._parts.jobs.waiting, "planning": len(self._goals.all) + len(self._queries.all)},
-            "setpoint": self._stream.status(),
-            "switches": max(sum(latest.counts) - (view.counted or 0), 0),
-            "counts": latest.counts,
-            "waits": latest.waits,
-            "dropped": latest.dropped,
-            "ledger": next((fault.message for fault in self.warnings if fault.code == "ledger-unwritten"), "ok"),
-            "real_time": latest.real_time,
-            "executor": view.problem if view.diagnostics is None else "connected",
-            **({} if tip_bias is None else {"tracker": tip_bias.status()}),
-        }
+        latest = view.diagnostics or program.Diagnostics(now, LoopTimes(), [], [], "off", (), 0, 0)
+        return Diagnostics(
+            stamp=self._moment.wall - max(now - latest.at, 0.0),
+            loop=latest.loop,
+            buses=latest.buses,
+            boards=latest.boards,
+            queues={"inbox": self._parts.jobs.waiting, "planning": len(self._goals.all) + len(self._queries.all)},
+            setpoint=self._stream.status(),
+            switches=max(sum(latest.counts) - (view.counted or 0), 0),
+            counts=list(latest.counts),
+            waits=latest.waits,
+            dropped=latest.dropped,
+            ledger=next((fault.message for fault in self.warnings if fault.code == "ledger-unwritten"), "ok"),
+            real_time=latest.real_time,
+            executor=view.problem if view.diagnostics is None else "connected",
+            tracker=UNSET if tip_bias is None else tip_bias.status(),
+        )
 
     def _faults(self) -> Iterator[Fault]:
         premises, state = self._premises, self._view.state

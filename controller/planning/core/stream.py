@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hyperbit.controller.host.process import Log
+from hyperbit.controller.messages.state import SetpointStatus
 from hyperbit.controller.motion.decoding.setpoint import decode
 from hyperbit.controller.motion.tracking.tracking import GoalTracker, Tracking
 from hyperbit.controller.planning.core.arm import ArmState, obstruction
-from hyperbit.controller.planning.core.events import Payload, SetpointArrived, ToExecutor
+from hyperbit.controller.planning.core.events import SetpointArrived, ToExecutor
 from hyperbit.controller.planning.core.parts import Parts, Ticket
 from hyperbit.controller.planning.core.premises import Premises
 from hyperbit.controller.planning.core.programs import Programs
@@ -227,18 +228,18 @@ class Stream:
     def _alive(self, last: float) -> bool:
         return self._moment.now - last <= self._timeout
 
-    def status(self) -> Payload:
-        return {
-            "streams": self._streams,
-            "received": self._received,
-            "refused": self._refused,
-            "last_refusal": self._last_refusal,
-            "outliers": self._tracker.track.outliers,
-            "jumps": self._tracker.track.jumps,
-            "sender": self._sender if self._alive(self._heard) else None,
-            "rate": 1 / max(self._interval, 1e-3) if self._alive(self._heard) else 0.0,
-            "alive": self._alive(self._fitted),
-        }
+    def status(self) -> SetpointStatus:
+        return SetpointStatus(
+            streams=self._streams,
+            received=self._received,
+            refused=self._refused,
+            last_refusal=self._last_refusal,
+            outliers=self._tracker.track.outliers,
+            jumps=self._tracker.track.jumps,
+            sender=self._sender if self._alive(self._heard) else None,
+            rate=1 / max(self._interval, 1e-3) if self._alive(self._heard) else 0.0,
+            alive=self._alive(self._fitted),
+        )
 
 
 def running_mean(mean: float, latest: float) -> float:

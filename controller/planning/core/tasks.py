@@ -6,6 +6,7 @@ others use them. The core stores them, compares their generations, and does not 
 
 from typing import Any, NamedTuple
 
+from hyperbit.controller.messages.goals import Plan
 from hyperbit.controller.motion.decoding.goal import GoalMessage
 from hyperbit.controller.motion.stages.feed import Improved, PlannedPoint, PlanProof
 from hyperbit.controller.motion.trajectory import Trajectory
@@ -113,7 +114,7 @@ class Deviations(NamedTuple):
 
 
 class Described(NamedTuple):
-    payload: dict[str, Any]
+    plan: Plan
 
 
 class Followed(NamedTuple):

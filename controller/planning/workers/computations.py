@@ -26,7 +26,6 @@ from hyperbit.controller.motion.tracking.following import SetpointQuery, find, s
 from hyperbit.controller.obstacles.keep_out import KeepOutSet, States
 from hyperbit.controller.obstacles.single_switches import arm_switches
 from hyperbit.controller.planning.core import tasks
-from hyperbit.controller.planning.core.events import done
 from hyperbit.controller.planning.core.tasks import ArmStart
 from hyperbit.controller.program import MOST_PROGRAM_STAGES
 from hyperbit.controller.refusals.reasons import Reason
@@ -287,8 +286,7 @@ def describe(model: ArmModel, task: tasks.DescribePlan, proceed: Proceed, hurry:
     if model.arm.settings.method == MINIMUM_SWITCH:
         left = WHOLE_TIME if message.deadline is None else began + message.deadline - clock.now()
         found = look_ahead(planner, found, previous, left, hurry)
-    fields = describe_plan(model.arm.manipulator, reduced, previous, found, model.pace)
-    return tasks.Described({**done(fields.pop("message")), **fields})
+    return tasks.Described(describe_plan(model.arm.manipulator, reduced, previous, found, model.pace))
 
 
 # --- set-points

@@ -9,6 +9,7 @@ from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import ExecutorTick, Health
 from hyperbit.controller.executor.core.reports import SNAPSHOT_EVERY
 from hyperbit.controller.host.process import Notify, Quit
+from hyperbit.controller.messages.state import LoopTimes
 from hyperbit.controller.program import (
     MOST_BYTES,
     TICK,
@@ -147,9 +148,9 @@ def test_no_snapshot_is_sent_between_the_rpdos_of_a_commit_and_its_sync(rig: Rig
 
 
 def test_a_journal_that_cannot_be_written_is_a_warning_until_it_can(rig: Rig) -> None:
-    rig.do(Health({}, 0, "the disk is full"))
+    rig.do(Health(LoopTimes(), 0, "the disk is full"))
     assert rig.snapshot.faults == (Fault("journal", "executor", "the disk is full"),)
-    rig.do(Health({}, 0, None))
+    rig.do(Health(LoopTimes(), 0, None))
     assert rig.snapshot.faults == ()
 
 

@@ -24,7 +24,7 @@ from tests.simulation.loading import load
 from tests.waiting import eventually
 
 FORBIDDEN = {"numba", "llvmlite", "scipy", "zenoh", "matplotlib", "rich", "typer", "filterpy"}
-OWN = ("armfile", "decoding", "executor", "flight_recorder", "host", "program", "refusals")
+OWN = ("armfile", "decoding", "executor", "flight_recorder", "host", "messages", "program", "refusals")
 ROOMS = {f"hyperbit.controller.{name}" for name in OWN}
 MOST_RESIDENT = 80 * 1024  # [kB]
 SIMULATION = {"canopen", "hyperbit.drivers.simulation"}  # a real arm's process loads neither

@@ -21,6 +21,7 @@ from hyperbit.controller.executor.process.server import (
 )
 from hyperbit.controller.host.keeper import FileInUse
 from hyperbit.controller.host.sockets import default_socket, found_sockets, socket_path
+from hyperbit.controller.messages.state import LoopTimes
 from hyperbit.controller.program import (
     MOST_BYTES,
     VERSION,
@@ -36,7 +37,7 @@ from hyperbit.controller.program import (
 )
 from tests.clock import Clock
 
-TELEMETRY = Diagnostics(0.0, {}, [], [], "off", tuple(range(3000)), 0, 0)
+TELEMETRY = Diagnostics(0.0, LoopTimes(), [], [], "off", tuple(range(3000)), 0, 0)
 
 
 @pytest.fixture

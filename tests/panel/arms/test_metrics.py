@@ -10,7 +10,7 @@ from starlette.routing import Route
 from starlette.testclient import TestClient
 
 from hyperbit.controller.decoding.decoding import convert
-from hyperbit.controller.network.messages import Diagnostics, State
+from hyperbit.controller.messages.state import Diagnostics, State
 from hyperbit.controller.panel.arms.metrics import (
     MOST_ACTUATORS,
     MOST_KINDS,

@@ -10,6 +10,7 @@ from itertools import pairwise
 import pytest
 
 from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.messages.state import LoopTimes
 from hyperbit.controller.planning.core.events import FromExecutor
 from hyperbit.controller.planning.core.tasks import PrepareSearch
 from hyperbit.controller.program import Diagnostics, Fault
@@ -37,7 +38,7 @@ def test_the_state_of_an_arm_at_rest(desk: Desk) -> None:
     assert (state["faults"], state["degraded"]) == ([], [])
     assert state["tip"]["position"] == pytest.approx(desk.tip(0, 0, 0, 0))
     desk.pass_time(0.03)
-    desk.post(FromExecutor(Diagnostics(desk.now, {}, [], [], "on", (), 0, 0)))
+    desk.post(FromExecutor(Diagnostics(desk.now, LoopTimes(), [], [], "on", (), 0, 0)))
     desk.pass_time(0.005)
     assert desk.published["state"]["stamp"] == pytest.approx(desk.wall - 0.045, abs=0.01), "of the snapshot"
     assert json.dumps(state)
@@ -68,8 +69,8 @@ def test_diagnostics_without_and_with_an_executor_that_tells_them(desk: Desk) ->
     told = desk.diagnostics()
     keys = {"stamp", "loop", "buses", "boards", "queues", "setpoint", "switches", "waits", "ledger", "real_time"}
     assert keys <= told.keys()
-    assert (told["counts"], told["ledger"], told["queues"]) == ((), "ok", {"inbox": 0, "planning": 0})
-    desk.post(FromExecutor(Diagnostics(desk.now, {"ticks": 100}, [], [], "on", (1,) * 12, 3, 0)))
+    assert (told["counts"], told["ledger"], told["queues"]) == ([], "ok", {"inbox": 0, "planning": 0})
+    desk.post(FromExecutor(Diagnostics(desk.now, LoopTimes(ticks=100), [], [], "on", (1,) * 12, 3, 0)))
     desk.held = {PrepareSearch}
     desk.pass_time(0.5)
     told = desk.diagnostics()

@@ -9,9 +9,11 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
+from msgspec import to_builtins
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.host.process import Log, Notify, Quit
+from hyperbit.controller.messages.goals import refused
 from hyperbit.controller.motion.stages.pacing import pace_of
 from hyperbit.controller.obstacles.obstacles import NONE
 from hyperbit.controller.planning.core.core import Beginning, Core
@@ -26,6 +28,7 @@ from hyperbit.controller.planning.core.events import (
     Fail,
     Hurry,
     LinkDown,
+    LiveArm,
     Publish,
     Published,
     PublishResult,
@@ -40,7 +43,6 @@ from hyperbit.controller.planning.core.events import (
     TipArrived,
     ToExecutor,
     Wake,
-    refused,
 )
 from hyperbit.controller.planning.core.tasks import Answer, BuildScene, BuildTables, Done, Failed, Task
 from hyperbit.controller.planning.planner import RequestDecoder
@@ -173,16 +175,17 @@ class Desk:
     def _carry_out(self, action: Action) -> None:
         match action:
             case Reply(number, payload):
-                self.inbox.put(self.names.pop(number), payload)
+                told = to_builtins(payload._asdict() if isinstance(payload, LiveArm) else payload)
+                self.inbox.put(self.names.pop(number), told)
             case Publish("feedback", payload):
-                self.inbox.put("feedback", payload)
+                self.inbox.put("feedback", to_builtins(payload))
             case Publish(key, payload):
-                self.published[key] = payload
+                self.published[key] = to_builtins(payload)
                 self.publications.append((self.now, key))
             case Notify(text):
                 self.notified.append(text)
             case PublishResult():
-                self.inbox.put("inherited" if action.inherited else "result", action.payload)
+                self.inbox.put("inherited" if action.inherited else "result", to_builtins(action.result))
                 self._store(action) if self.storing else self._waiting.append(action)
             case Record():
                 self._store(action) if self.storing else self._waiting.append(action)
@@ -239,7 +242,7 @@ class Desk:
         try:
             message = self.decode(key, data)
         except Refusal as refusal:
-            self.inbox.put(name, refused(refusal))
+            self.inbox.put(name, to_builtins(refused(refusal)))
             return 0
         self._numbers += 1
         self.names[self._numbers] = name

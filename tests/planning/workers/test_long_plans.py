@@ -31,7 +31,7 @@ def task(bench: Bench, deadline: float | None = 5.0) -> DescribePlan:
 def proven(answer: object) -> list[Any]:
     """What does not depend on the time of a search."""
     assert isinstance(answer, Described), answer
-    return [answer.payload[name] for name in ("accepted", "switches", "cost", "certificate", "lower_bound")]
+    return [getattr(answer.plan, name) for name in ("accepted", "switches", "cost", "certificate", "lower_bound")]
 
 
 class Silent(LongPlanner):

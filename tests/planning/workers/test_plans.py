@@ -253,16 +253,16 @@ def queries(bench: Bench) -> ArmModel:
 
 
 def test_a_plan_is_described_point_by_point(bench: Bench, queries: ArmModel) -> None:
-    payload = describe(queries, query(bench), nothing, lambda: False).payload
-    assert (payload["accepted"], len(payload["waypoints"])) == (True, 2)
-    assert payload["switches"] == sum(point["switches"] for point in payload["waypoints"])
-    assert payload["message"] == f"2 waypoints, {payload['switches']} switches"
-    labels = [label for point in payload["waypoints"] for stage in point["stages"] for label in stage]
-    assert len(labels) == payload["switches"]
+    plan = describe(queries, query(bench), nothing, lambda: False).plan
+    assert (plan.accepted, len(plan.waypoints)) == (True, 2)
+    assert plan.switches == sum(point.switches for point in plan.waypoints)
+    assert plan.message == f"2 waypoints, {plan.switches} switches"
+    labels = [label for point in plan.waypoints for stage in point.stages for label in stage]
+    assert len(labels) == plan.switches
 
 
 def test_a_description_in_haste_is_one(bench: Bench, queries: ArmModel) -> None:
-    assert describe(queries, query(bench), nothing, lambda: True).payload["accepted"]
+    assert describe(queries, query(bench), nothing, lambda: True).plan.accepted
 
 
 def test_a_query_that_takes_too_long_is_refused(bench: Bench, queries: ArmModel) -> None:

@@ -27,6 +27,7 @@ from hyperbit.controller.executor.core.events import (
 from hyperbit.controller.executor.process.journal_file import FileJournal
 from hyperbit.controller.flight_recorder import FlightRecorder
 from hyperbit.controller.host.process import Log, Notify, Quit
+from hyperbit.controller.messages.state import LoopTimes
 from hyperbit.controller.program import TICK, FaultVerb, Goodbye, PlayableFaults, Up
 from hyperbit.drivers.canopen.wire.events import (
     BusChanged,
@@ -78,7 +79,7 @@ class Habits:
         """Returns the figures that the loop passes to its core, or None if it is too late for them."""
         if self._random.random() < 0.1:
             return None
-        loop = {"ticks": self._random.randint(1, 100), "late_worst": self._random.random()}
+        loop = LoopTimes(ticks=self._random.randint(1, 100), late_worst=self._random.random())
         return Health(loop, self.dropped, self.problem)
 
     def play(self, action: ToSimulation) -> FaultPlayed:

@@ -15,7 +15,6 @@ from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.motion.stages.pacing import pace_of
-from hyperbit.controller.planning.core.events import Payload
 from hyperbit.controller.planning.workers.computations import MakeSolver
 from hyperbit.controller.program import Counted, Diagnostics, Snapshot, Up
 from hyperbit.controller.search.lists.two_list import ListSizes
@@ -26,7 +25,7 @@ from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.network import Network
 from tests.simulation.statements.account import Account
-from tests.simulation.statements.asked import Request, states_from
+from tests.simulation.statements.asked import Payload, Request, states_from
 from tests.simulation.statements.exchange import Exchange
 from tests.simulation.whole.clients import Clients
 from tests.simulation.whole.configurations import Configurations

@@ -17,13 +17,14 @@ from hyperbit.controller.gateway.daemon import Warnings
 from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.server import GatewayParts, Server
 from hyperbit.controller.host.process import Quit
+from hyperbit.controller.messages.goals import Result
 from hyperbit.controller.motion.stages.pacing import pace_of
 from hyperbit.controller.obstacles.obstacles import NONE
 from hyperbit.controller.planning import ledger as ledger_module
 from hyperbit.controller.planning import ledger_file
 from hyperbit.controller.planning import loop as loop_module
 from hyperbit.controller.planning.core.core import Beginning, Core
-from hyperbit.controller.planning.core.events import Action, Event, Identity, Payload, Recorded, Reply
+from hyperbit.controller.planning.core.events import Action, Event, Identity, Recorded, Reply
 from hyperbit.controller.planning.core.tasks import BuildScene, BuildTables
 from hyperbit.controller.planning.ledger import PublishedResults
 from hyperbit.controller.planning.link import ExecutorLink
@@ -173,8 +174,8 @@ class PlannerProcess:
         self.interleave()
         self.post(Recorded(entry))
 
-    def _marks(self, published: PublishedResults, identity: Identity, payload: Payload) -> None:
-        published.add(identity, payload)
+    def _marks(self, published: PublishedResults, identity: Identity, result: Result) -> None:
+        published.add(identity, result)
         self.marked()
         self.interleave()
 
