@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from hyperbit.drivers.canopen.pdo import FIRST_WATCHED, INPUTS, WATCHED_BITS, Bit, Pdo, first_watched, subs_of, union
 from hyperbit.drivers.canopen.status import Traffic
@@ -42,19 +43,19 @@ class BoardLayout:
         """Name for messages, e.g. "can0/5"."""
         return f"{self.settings.bus}/{self.settings.node}"
 
-    @property
+    @cached_property
     def output_lines(self) -> int:
         return sum(bit.line for bit in self.outputs)
 
-    @property
+    @cached_property
     def output_bits(self) -> int:
         return sum(bit.place for bit in self.outputs)
 
-    @property
+    @cached_property
     def input_lines(self) -> int:
         return sum(bit.line for bit in self.inputs)
 
-    @property
+    @cached_property
     def input_bits(self) -> int:
         """The bits of 6000h."""
         return sum(bit.place for bit in self.inputs) & (1 << FIRST_WATCHED) - 1

@@ -135,8 +135,8 @@ class World(Hardware):
     def boot(self) -> list[ArmFault]:
         self.run(0.05)  # the boards have long booted when the master comes
         self.master.boot(self.now)
-        self.until(lambda: not self.master.booting, LONGEST_BOOT)
-        return list(self.master.boot_faults)
+        self.until(lambda: not self.master.booting.under_way, LONGEST_BOOT)
+        return list(self.master.booting.faults)
 
     def up(self) -> World:
         assert self.boot() == []
@@ -147,7 +147,7 @@ class World(Hardware):
     def commit(self, *states: int, then: float = 0.0) -> None:
         """Commits, and runs until the commit has ended, and `then` [s] longer."""
         self.master.commit(bits(*states), self.now)
-        self.until(lambda: not self.master.committing)
+        self.until(lambda: not self.master.switching.under_way)
         if then:
             self.run(then)
 
@@ -157,7 +157,7 @@ class World(Hardware):
                 self.commit(*states)
             except Busy:
                 return False
-            return self.master.commit_failed is None
+            return self.master.switching.failed is None
 
         while not taken():
             self.run(TICK)
@@ -165,7 +165,7 @@ class World(Hardware):
     def release(self, outputs: int = 0, ticks: int = 25) -> None:
         """Releases at each tick, as the executor does; by default until two heartbeats have left."""
         for _ in range(ticks):
-            self.master.commit(outputs, self.now, release=True)
+            self.master.release(~outputs, self.now)
             self.run(TICK)
 
     # What happens to it.
@@ -243,13 +243,13 @@ class World(Hardware):
 
     def measured(self) -> list[int]:
         """States, -1 where unknown."""
-        states, known = measured(self.master, self.wiring), self.master.known
+        states, known = measured(self.master, self.wiring), self.master.inputs.known
         return [states >> k & 1 if known >> k & 1 else -1 for k in range(len(self.wiring.channels))]
 
     def _collect(self) -> None:
         if isinstance(self.master, Master):
-            self._faults += self.master.drain_faults()
-            self.switched += self.master.drain_switched()
+            self._faults += self.master.faults.drain()
+            self.switched += self.master.switching.drain()
 
 
 @functools.cache
@@ -261,7 +261,7 @@ def measured(master: Master, wiring: Wiring) -> int:
     """Returns the states of actuators with one output: the end-stop, else the output; 0 where unknown."""
     ended = sum(1 << k for k, channel in enumerate(wiring.channels) if channel.input is not None)
     everything = (1 << len(wiring.channels)) - 1
-    return (master.ends & ended | master.outputs & ~ended) & everything & master.known
+    return (master.inputs.ends & ended | master.outputs.commanded & ~ended) & everything & master.inputs.known
 
 
 def spoken(world: World) -> str:

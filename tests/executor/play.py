@@ -58,6 +58,14 @@ MASTER: dict[str, dict[str, Any]] = {  # what the played master does
     "boots fail twice": {"boot_faults": [LOST, ArmFault("board-missing", "can0/2", "another")]},
     "pause found": {"pause": ArmFault("halted", "executor", "halted for 3 s")},
 }
+MASKS = {  # of the parts of the played master
+    "outputs": "outputs.commanded",
+    "unread": "outputs.unread",
+    "missed": "outputs.missed",
+    "inputs": "inputs.levels",
+    "known": "inputs.known",
+    "partly": "switching.partly",
+}
 
 
 class Play:
@@ -164,23 +172,24 @@ class Play:
             case "fault", [code, source]:
                 rig.master.fail(ArmFault(code, source, said))
             case "second", ["board", "starts", "anew"]:
-                rig.master.boots = (0, 1)
+                rig.master.boards[1].boots += 1
             case "SYNC", ["is", "lost"]:
-                rig.master.committing = False
+                rig.master.switching.under_way = False
             case "lost", _:
                 rig.master.fail(LOST, lost=states_of(words[0]) if words else 0)
             case "broken", _:
                 rig.master.broken = set(words)
             case "inputs", ["on", lines]:
-                rig.master.inputs |= states_of(lines)
+                rig.master.inputs.levels |= states_of(lines)
             case "inputs", ["off", lines]:
-                rig.master.inputs &= ~states_of(lines)
+                rig.master.inputs.levels &= ~states_of(lines)
             case "master", [name, value]:
-                setattr(rig.master, name, states_of(value))
+                part, _, mask = MASKS.get(name, name).rpartition(".")
+                setattr(getattr(rig.master, part) if part else rig.master, mask, states_of(value))
             case "locked", ["actuator", "loose"]:  # it is where no plan knows: extended, with its output off
                 rig.core.locked.change(0, 1)
                 rig.core.locked.states = 0
-                rig.master.inputs = 0b10
+                rig.master.inputs.levels = 0b10
                 rig.core.motion.supervision.accept(0b10, ALL)
             case "supply", ["silent"]:
                 rig.master.silent["supply"] = said
@@ -291,7 +300,7 @@ def pulses(play: Play) -> list[str]:
 
 
 STATES: dict[str, Callable[[Play], int]] = {
-    "outputs": lambda play: play.rig.master.outputs,
+    "outputs": lambda play: play.rig.master.outputs.commanded,
     "states": lambda play: play.rig.states,
     "measured": lambda play: unpack(play.rig.snapshot.measured),
     "known": lambda play: unpack(play.rig.snapshot.known),

@@ -122,7 +122,7 @@ class Attack:
     def _fitted(self, message: Down) -> Down:
         """Returns a message with the numbers that the executor expects."""
         core, world = self.world.core, self.world
-        start, epoch, greatest = pack(world.master.outputs, SIZE), core.modes.epoch, core.requests.greatest
+        start, epoch, greatest = pack(world.master.outputs.commanded, SIZE), core.modes.epoch, core.requests.greatest
         match message:
             case Program():
                 return msgspec.structs.replace(message, program=greatest + 1, epoch=epoch, start=start, begin=0.0)

@@ -103,12 +103,12 @@ class Judge:
             return
         if cob_id == cia301.SYNC and self.asked:
             self.syncs += 1
-            self._judge_states(self._sent(core.master.outputs), ~core.locked.mask)
+            self._judge_states(self._sent(core.master.outputs.commanded), ~core.locked.mask)
             return
         sdo = cob_id & 0x780 == cia301.SDO_REQUEST
         if sdo and data[0] in (0x40, 0x80):  # to read, and to abort
             return
-        if core.master.booting and (cob_id == cia301.NMT or sdo):
+        if core.master.booting.under_way and (cob_id == cia301.NMT or sdo):
             value = 0
             if sdo and data[0] & 0xE0 == 0:  # the second step of a write
                 value = data[1] << 8 * (self._staged[cob_id] - 1)

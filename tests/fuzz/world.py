@@ -115,7 +115,7 @@ class World(Hardware, Witness):
 
     def told(self, event: Event) -> None:
         self._end_event()
-        self._event, self._before = event, (self.core.motion.readings.read, self.master.known)
+        self._event, self._before = event, (self.core.motion.readings.read, self.master.inputs.known)
         self.judge.begin()
         if isinstance(event, FromClient) and event.client == PLANNER:
             self.judge.proposed(event.message)
@@ -124,14 +124,14 @@ class World(Hardware, Witness):
         event, self._event = self._event, None
         if event is None:
             return
-        measured, known = self.core.motion.readings.read, self.master.known
+        measured, known = self.core.motion.readings.read, self.master.inputs.known
         if isinstance(event, FrameIgnored) and (measured, known) != self._before:
             raise AssertionError(f"taken for the state of a board: {event}")
         too_short = isinstance(event, FrameReceived) and event.frame.id in TPDOS and not event.frame.data
         if too_short and measured != self._before[0]:
             raise AssertionError(f"taken for inputs: {event}")
-        self.boots += self.master.booting and not self._booting
-        self._booting = self.master.booting
+        self.boots += self.master.booting.under_way and not self._booting
+        self._booting = self.master.booting.under_way
         self.judge.end(self.core.modes.mode == "executing")
 
     def sends(self, bus: str, frame: Frame) -> None:
@@ -212,10 +212,10 @@ class World(Hardware, Witness):
         """Compares the boards' outputs with the master's commands, unless the intruder commanded them."""
         for _ in range(5):
             drives = sum(drive << k for k, drive in enumerate(self.boards.drives()))
-            if self.dirty or drives == self.master.outputs:
+            if self.dirty or drives == self.master.outputs.commanded:
                 return
             self.agenda.run(HEARD_WITHIN)
-        raise Moved(f"the outputs are {drives:06b}, switched to {self.master.outputs:06b}")
+        raise Moved(f"the outputs are {drives:06b}, switched to {self.master.outputs.commanded:06b}")
 
     def recover(self) -> None:
         """Removes all faults, resets, and checks that the arm becomes ready."""

@@ -83,9 +83,9 @@ class Kinds:
             return states
         return (states & (on | ~self.paired)) | self._off_lines(on & ~states)
 
-    def without(self, outputs: int, actuators: int) -> int:
-        """Returns `outputs` with both outputs of some paired actuators off."""
-        return outputs & ~(actuators | self._off_lines(actuators))
+    def lines(self, actuators: int) -> int:
+        """Returns both output lines of each of some paired actuators."""
+        return actuators | self._off_lines(actuators)
 
     def on(self, outputs: int) -> tuple[int, int]:
         """Returns two masks of paired actuators: extending output on, contracting output on."""

@@ -78,7 +78,7 @@ class Executor:
     @property
     def collecting(self) -> bool:
         """Whether the echo of an RPDO is awaited; the next echo may release the SYNC."""
-        return self.master.collecting
+        return self.master.switching.collecting
 
     @property
     def calm(self) -> bool:
@@ -164,7 +164,7 @@ class Executor:
         """Records what the event has changed on the boards."""
         at = None  # time of its frame on the bus [s]
         if isinstance(event, FrameEchoed | FrameReceived):
-            if isinstance(event, FrameEchoed) and self.master.collecting:  # one echo of several; nothing has changed
+            if isinstance(event, FrameEchoed) and self.collecting:  # one echo of several; nothing has changed
                 return
             # An SDO answer has no useful time: the end-stop changed before the question.
             if event.frame.id & 0x780 != cia301.SDO_ANSWER:

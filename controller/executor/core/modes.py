@@ -100,18 +100,18 @@ class Modes:
         motion = self._motion
         self._settles = motion.actuation.free_at
         motion.kinds.believe(ends)
-        self._master.verification.believe(ends)
+        self._master.outputs.believe(ends)
         motion.supervision.reset(0, 0, motion.clock)
         if self.mode in ("ready", "starting"):
             self.boot(f"the boards are being booted {'after' if ends else 'for'} a commission", now)
 
     def update(self, now: float) -> None:
         """Reads the master's faults, and detects the end of a boot. Call after each event."""
-        for fault in self._master.drain_faults():
+        for fault in self._master.faults.drain():
             self.fail(fault, now)
         if self._waits:
             self._begin_boot(now)
-        if self._booting and not self._waits and not self._master.booting:
+        if self._booting and not self._waits and not self._master.booting.under_way:
             self._booting = False
             if self.mode == "starting":  # after a stop, only Reset boots
                 self._booted(now)
@@ -146,7 +146,7 @@ class Modes:
     def hold_measured(self, now: float) -> None:
         self._locked.lock_as_measured(self._motion.readings.read, self._motion.readings.definite)
         self._motion.adopt(now)
-        self._motion.supervision.accept(self._motion.readings.measured, self._master.known)
+        self._motion.supervision.accept(self._motion.readings.measured, self._master.inputs.known)
         self.new_epoch()
         locked = f", {self._locked.sentence()}" if self._locked.mask else ""
         self.enter("ready", f"holding what the boards measured{locked}")
@@ -160,7 +160,7 @@ class Modes:
             self._master.boot(now)
 
     def _booted(self, now: float) -> None:
-        for fault in (*self._master.boot_faults, *self._motion.readings.interlock_faults()):
+        for fault in (*self._master.booting.faults, *self._motion.readings.interlock_faults()):
             self.report(fault)
         for warning in self._master.warnings():
             self._act(log_line(logging.WARNING, warning))
@@ -170,7 +170,7 @@ class Modes:
         else:
             motion = self._motion
             motion.adopt(now)
-            motion.supervision.reset(motion.readings.measured, self._master.known, motion.clock)
+            motion.supervision.reset(motion.readings.measured, self._master.inputs.known, motion.clock)
             self.hold_measured(now)
 
     def _enter_fault(self, message: str, reason: str, now: float) -> None:

@@ -66,7 +66,7 @@ class Reports:
         motion, size = self._motion, self._size
         execution, stream = motion.execution, motion.stream
         measured, known = motion.readings.packed()
-        problem, homing = self._health.journal, motion.readings.homing & self._master.known
+        problem, homing = self._health.journal, motion.readings.homing & self._master.inputs.known
         own = () if problem is None else (ArmFault("journal", "executor", problem),)
         every = faults + self._locked.faults() + self._master.warnings() + own
         if homing:

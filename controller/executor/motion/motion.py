@@ -98,7 +98,7 @@ class ArmMotion:
 
     @property
     def committing(self) -> bool:
-        return self.busy and self._master.committing
+        return self.busy and self._master.switching.under_way
 
     def adopt(self, now: float) -> None:
         self._travel_times.forget(-1)
@@ -164,7 +164,7 @@ class ArmMotion:
         `at`: time of the event's frame on the bus [s]; None: unknown.
         """
         running = self.execution if self._ended is None else self._ended[0]
-        for lines, switched_at in self._master.drain_switched():
+        for lines, switched_at in self._master.switching.drain():
             mask = self.actuation.record_switched(lines, switched_at)
             self.supervision.record_switched(mask, self.actuation.states, self.clock, now)
             self._travel_times.begin(mask, self.actuation.states, self.readings.ends, at)
@@ -172,13 +172,13 @@ class ArmMotion:
                 running.switches += mask.bit_count()
                 running.verified &= not mask & self.kinds.trusted
                 if running.trial & mask:
-                    running.watch = InputWatch(self._master.ends, switched_at if at is None else at)
+                    running.watch = InputWatch(self._master.inputs.ends, switched_at if at is None else at)
         if any(self._travel_times.travelling):
             travels = self._travel_times.drain_arrived(self.readings.ends, at)
             if running is not None and len(running.travels) < MOST_TRAVELS:
                 running.travels += travels
         if running is not None and running.watch is not None:
-            running.watch.see(self._master.ends, self._master.inputs_known, now if at is None else at)
+            running.watch.see(self._master.inputs.ends, self._master.inputs.up, now if at is None else at)
         reached = None if self.actuation.target is None else self.actuation.conclude(now)
         if self._ended is not None and not self.committing:
             self.send_result()

@@ -23,8 +23,8 @@ class MotionSupervision:
     `places`: label and wiring of each actuator for messages, shape (A,).
     """
 
-    def __init__(self, boards: Master, places: Sequence[str], kinds: Kinds) -> None:
-        self._boards, self._places, self._kinds = boards, places, kinds
+    def __init__(self, master: Master, places: Sequence[str], kinds: Kinds) -> None:
+        self._master, self._inputs, self._places, self._kinds = master, master.inputs, places, kinds
         self._switched_at = [0.0] * len(places)
         self._ask_at = [0.0] * len(places)
         self._missed = [0] * len(places)
@@ -32,7 +32,7 @@ class MotionSupervision:
 
     @property
     def _ends(self) -> Ends:
-        return self._kinds.ends(self._boards.ends)
+        return self._kinds.ends(self._inputs.ends)
 
     def reset(self, states: int, known: int, clock: float) -> None:
         """Forgets all motions and reports; `states` are commanded where known.
@@ -97,13 +97,13 @@ class MotionSupervision:
     def resting(self) -> bool:
         """Whether nothing moves, and no end-stop contradicts the commanded state but as reported."""
         ends = self._ends
-        wrong = (self._late(ends) & self._boards.known & self._commanded_known) | (ends.extended & ends.contracted)
+        wrong = (self._late(ends) & self._inputs.known & self._commanded_known) | (ends.extended & ends.contracted)
         return not (wrong & ~self._reported or self._pending or self._suspect or self._strayed or self._doubtful)
 
     def decided(self) -> bool:
         """Returns whether no end-stop contradicts the commanded state in a way that may still become a fault."""
         contradicted = self._strayed | self._doubtful | (self._pending and self._pending & self._late(self._ends))
-        return not contradicted & self._boards.known & self._commanded_known
+        return not contradicted & self._inputs.known & self._commanded_known
 
     def tick(self, clock: float, now: float) -> list[tuple[int, ArmFault]]:
         """Compares commanded states with the end-stops, and asks the boards of late actuators for their inputs.
@@ -111,7 +111,7 @@ class MotionSupervision:
         Returns faults with the index of their actuator: "end-stops" for each with both end-stops at 1, "stuck" for each
         that did not arrive, and "unexpected-motion" for each that moved without a command; at most one until `reset`.
         """
-        ends, known = self._ends, self._boards.known
+        ends, known = self._ends, self._inputs.known
         readable = known & self._commanded_known
         late = self._late(ends) & readable
         both = ends.extended & ends.contracted
@@ -179,9 +179,9 @@ class MotionSupervision:
                     stuck |= bit
             elif over >= 0 and clock >= self._ask_at[k]:
                 self._ask_at[k] = clock + max(margin / 3, ASK_EVERY)
-                for board in self._boards.input_boards_of[k]:
-                    if not self._boards.questioning(board):
-                        self._boards.question(board, now)
+                for board in self._master.input_boards_of[k]:
+                    if not self._master.boards[board].questioning:
+                        self._master.question(board, now)
                 if over >= margin:
                     self._final |= bit
         self._pending &= ~stuck
@@ -196,11 +196,11 @@ class MotionSupervision:
 
     def _question(self, actuator: int, now: float) -> None:
         """Asks the boards of an actuator's end-stops for their inputs, again after running questions."""
-        for board in self._boards.input_boards_of[actuator]:
-            self._boards.question(board, now)
+        for board in self._master.input_boards_of[actuator]:
+            self._master.question(board, now)
 
     def _questioning(self, actuator: int) -> bool:
-        return any(self._boards.questioning(board) for board in self._boards.input_boards_of[actuator])
+        return any(self._master.boards[board].questioning for board in self._master.input_boards_of[actuator])
 
     def _stuck(self, k: int, ends: Ends) -> ArmFault:
         should, other = STATES[self._commanded >> k & 1], STATES[1 - (self._commanded >> k & 1)]

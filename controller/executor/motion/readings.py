@@ -12,21 +12,22 @@ class Readings:
     """The present knowledge of the A actuators of an arm; changes nothing."""
 
     def __init__(self, master: Master, kinds: Kinds, actuation: Actuation, locked: LockedActuators) -> None:
-        self._master, self._kinds, self._actuation, self._locked = master, kinds, actuation, locked
+        self._master, self._inputs, self._kinds = master, master.inputs, kinds
+        self._actuation, self._locked = actuation, locked
         self._actuators = len(kinds.travel)
 
     @property
     def ends(self) -> Ends:
-        return self._kinds.ends(self._master.ends)
+        return self._kinds.ends(self._inputs.ends)
 
     @property
     def read(self) -> int:
         """States from the end-stops, otherwise the commanded ones; 0 where the board is not operational."""
-        return self._kinds.measured(self.ends, self._actuation.states) & self._master.known
+        return self._kinds.measured(self.ends, self._actuation.states) & self._inputs.known
 
     @property
     def definite(self) -> int:
-        return self._kinds.definite(self.ends) & self._master.known
+        return self._kinds.definite(self.ends) & self._inputs.known
 
     @property
     def measured(self) -> int:
@@ -35,7 +36,7 @@ class Readings:
 
     @property
     def known(self) -> int:
-        return self._master.known & ~self.homing
+        return self._inputs.known & ~self.homing
 
     @property
     def homing(self) -> int:
@@ -47,7 +48,7 @@ class Readings:
         return pack(self.measured & known, self._actuators), pack(known, self._actuators)
 
     def interlock_faults(self) -> list[ArmFault]:
-        opened = self._kinds.open(self._master.ends, self._master.inputs_known)
+        opened = self._kinds.open(self._inputs.ends, self._inputs.up)
         faults = []
         for lock in opened:
             place, why = f"{lock.name} ({lock.place})", self._master.unanswered(lock)

@@ -35,13 +35,18 @@ _INPUT_TIMEOUT = 0.3  # [s] for the answer with the inputs
 
 
 @dataclass
-class StateImage:
-    """Levels of all input lines. Each board writes its own lines."""
+class InputLines:
+    """The levels of all input lines, and which boards are ready. Each board writes its own lines."""
 
-    ends: int = 0  # levels
-    up: int = 0  # mask of the input lines whose board is ready
+    levels: int = 0  # as received last
+    up: int = 0  # mask of the lines whose board is ready
     known: int = 0  # mask of the actuators whose boards are all ready: that of the outputs and those of the end-stops
     _missing: dict[str, int] = field(default_factory=dict)  # actuators of each board that is not ready
+
+    @property
+    def ends(self) -> int:
+        """Levels; 0 where unknown."""
+        return self.levels & self.up
 
     def set_ready(self, board: BoardLayout, ready: bool) -> None:
         if ready:
@@ -55,10 +60,10 @@ class StateImage:
 
 
 class Board:
-    """One board on its bus. It writes its inputs into `image`, and its faults to `report`."""
+    """One board on its bus. It writes its inputs into `inputs`, and its faults to `report`."""
 
     def __init__(
-        self, index: int, layout: BoardLayout, link: Link, image: StateImage, report: Callable[[ArmFault], None]
+        self, index: int, layout: BoardLayout, link: Link, inputs: InputLines, report: Callable[[ArmFault], None]
     ) -> None:
         self.index, self.layout, self.link, self.name = index, layout, link, layout.name
         self.runner = Runner(layout.node, link)
@@ -79,7 +84,7 @@ class Board:
         # Whether an NMT command 80h of another program, and nothing else, has made it leave operational, so that its
         # pins hold. None: something else may have changed them.
         self.held: bool | None = None
-        self._image, self.report = image, report
+        self._lines, self.report = inputs, report
         self._inputs = 0
         self._brought = 0  # mask of the input bits received by TPDO since `begin_input_read`
         self._ready = self._booted = self._lost = False
@@ -91,8 +96,8 @@ class Board:
         self._poll_period = 0.0
         self.unread: dict[WatchedObject, str] = {}  # why watched objects are unknown; their interlocks count as open
         self.set_tpdos(layout.tpdos)
-        image.set_ready(layout, False)
-        image.ends |= sum(bit.line for bit in layout.inputs if bit.inverted)
+        inputs.set_ready(layout, False)
+        inputs.levels |= sum(bit.line for bit in layout.inputs if bit.inverted)
 
     @property
     def heard(self) -> bool:
@@ -110,7 +115,7 @@ class Board:
             self._booted, self.restarted, self.held = True, False, False
         else:
             self._frames_before = self.frames
-        self._image.set_ready(self.layout, ready)
+        self._lines.set_ready(self.layout, ready)
 
     @property
     def remembered(self) -> bool:
@@ -290,7 +295,7 @@ class Board:
     def _set_inputs(self, inputs: int) -> None:
         changed, self._inputs = inputs ^ self._inputs, inputs
         if changed:
-            self._image.ends ^= union(bit.line for bit in self.layout.inputs if changed & bit.place)
+            self._lines.levels ^= union(bit.line for bit in self.layout.inputs if changed & bit.place)
 
     def _ask_inputs(self) -> Procedure:
         for sub in subs_of(self.layout.input_bits):

@@ -1,4 +1,4 @@
-"""Output lines of all boards: levels after the last SYNC, whether they were read back, and the latched bytes."""
+"""Output lines of all boards: what is believed of each, and the bytes of the RPDOs that carry them."""
 
 from __future__ import annotations
 
@@ -53,19 +53,24 @@ def _placed(bit: int, carried: Iterable[Carried]) -> int:
 
 
 class OutputLines:
-    """The output lines of all boards, as masks. Bits of frames without a line keep the value that was read back."""
+    """The belief about the output lines of all boards, as masks, and the bytes of their RPDOs.
+
+    Bits of frames without a line keep the value that was read back.
+    """
 
     def __init__(self, layout: Layout, pulsed: int) -> None:
         self.pulsed = pulsed  # mask of the lines with pulses
-        self.states = 0  # levels after the last SYNC
-        self.unread = 0  # mask of the lines not read back since their last switch
-        self.missed = 0  # mask of the lines whose pulse was not read back while on; the caller clears it
+        self.blind = 0  # mask of the lines of which no believed end-stop tells
+        self.commanded = 0  # levels after the last SYNC that was sent, or as a boot has read them
+        self.unread = 0  # mask of the lines that have switched, and were not read back since
         # May be on: the bus was lost while a SYNC was being sent, or the end of a pulse was not read back.
         self.doubtful = 0
-        self._moved = [0] * len(layout.boards)  # lines of each board that may have changed since `begin_read`
+        self.missed = 0  # mask of the lines whose pulse was not read back while on, until `drain_missed`
+        self.unanswered = 0  # the same until their board answers
         self._boards = layout.boards
-        self._trusted = union(b.output_lines for b in layout.boards if not b.settings.verify)
-        self._lines = sum(board.output_lines for board in layout.boards)
+        self._moved = [0] * len(layout.boards)  # lines of each board that may have changed since `begin_read`
+        self._trusted = union(board.output_lines for board in layout.boards if not board.settings.verify)
+        self._lines = union(board.output_lines for board in layout.boards)
         self._rpdos = {i: board.rpdos for i, board in enumerate(layout.boards)}
         self.frames: dict[Key, RpdoFrame] = {}
         self._image: dict[Key, int] = {}
@@ -73,11 +78,26 @@ class OutputLines:
         self._latched: dict[Key, int | None] = {}
         self._uncertain: set[Key] = set()  # frames with unconfirmed sending: the next SYNC may apply them
         self._assemble()
+        self.believe(True)
+
+    def believe(self, ends: bool) -> None:
+        """Believes the end-stops, or takes each line for one without."""
+        self.blind = self._lines & ~(union(board.sensed for board in self._boards) if ends else 0)
 
     @property
     def released(self) -> int:
         """Mask of the lines whose pulse has ended, and which were not read back as off."""
-        return self.unread & self.pulsed & ~self.states
+        return self.unread & self.pulsed & ~self.commanded
+
+    @property
+    def unproven(self) -> int:
+        """Mask of the blind lines that were switched and not read back, and of missed pulses; no ends of pulses."""
+        return (self.unread & ~self.released | self.missed) & self.blind
+
+    def drain_missed(self) -> int:
+        """Returns, since the last call, the blind lines whose pulse ended before it was read."""
+        missed, self.missed = self.missed, 0
+        return missed & self.blind
 
     def adopt(self, i: int, rpdos: tuple[Pdo, ...], values: Mapping[int, int]) -> None:
         """Sets the RPDOs of board `i`, and the read-back values, by mapping entry."""
@@ -99,7 +119,7 @@ class OutputLines:
             levels = union(bit.line for bit in frame.bits if bool(image & bit.place) != bit.inverted)
             lines = frame.lines & board.output_lines
             self._find_missed(lines)
-            self.states = self.states & ~lines | levels & lines
+            self.commanded = self.commanded & ~lines | levels & lines
         self.doubtful &= ~board.output_lines
         self.unread &= ~board.output_lines
         self._moved[i] = -1
@@ -116,7 +136,7 @@ class OutputLines:
         here = [bit for bit in self._boards[i].outputs if bit.place >> 8 * (sub - 1) & 0xFF]
         levels = union(bit.line for bit in here if bool(byte << 8 * (sub - 1) & bit.place) != bit.inverted)
         told = union(bit.line for bit in here) & ~self._moved[i]
-        wrong = (levels ^ self.states) & told
+        wrong = (levels ^ self.commanded) & told
         self.unread = self.unread & ~told | wrong
         return told & ~wrong, wrong
 
@@ -141,7 +161,7 @@ class OutputLines:
             raise ValueError(f"outputs {states:#x}: there are {self._lines.bit_count()} lines")
         buses: set[str] = set()
         stale: dict[str, list[Key]] = {}
-        changed = states ^ self.states
+        changed = states ^ self.commanded
         for key, frame in self.frames.items():
             image, latched, keys = self._image[key], self._latched[key], stale.setdefault(frame.bus, [])
             wanted = self._wanted(key, states) if changed & frame.lines else image
@@ -156,7 +176,7 @@ class OutputLines:
         """Returns the frame for these levels. The caller sends it: the latched bytes are unknown until `sent`."""
         self._latched[key] = None
         self._uncertain.add(key)
-        self._move(self.frames[key], states ^ self.states)
+        self._move(self.frames[key], states ^ self.commanded)
         return Frame(key[1], self._wanted(key, states).to_bytes(self.frames[key].size, "little"))
 
     def sent(self, key: Key, frame: Frame, states: int) -> int:
@@ -174,9 +194,13 @@ class OutputLines:
 
     def written_off(self, lines: int) -> int:
         """Records that lines were written off by SDO, and read back; returns the mask of those that were on."""
-        switched = self.states & lines
+        switched = self.commanded & lines
         self._find_missed(lines)
-        self.states, self.unread, self.doubtful = self.states & ~lines, self.unread & ~lines, self.doubtful & ~lines
+        self.commanded, self.unread, self.doubtful = (
+            self.commanded & ~lines,
+            self.unread & ~lines,
+            self.doubtful & ~lines,
+        )
         for key, frame in self.frames.items():
             for bit in frame.bits if frame.lines & lines else ():
                 if bit.line & lines:
@@ -190,7 +214,7 @@ class OutputLines:
         lines = self.lines_of(bus)
         self.doubtful |= self.released & lines
         if states is not None:
-            self.doubtful |= (states ^ self.states) & lines
+            self.doubtful |= (states ^ self.commanded) & lines
         self._latched |= {key: None for key in self.frames if key[0] == bus}
 
     def lines_of(self, bus: str) -> int:
@@ -198,21 +222,23 @@ class OutputLines:
 
     def bits(self, i: int) -> int:
         """Returns the expected levels of the used output bits of board `i`."""
-        return union(b.place for b in self._boards[i].outputs if bool(self.states & b.line) != b.inverted)
+        return union(b.place for b in self._boards[i].outputs if bool(self.commanded & b.line) != b.inverted)
 
     def _switch(self, key: Key, states: int) -> int:
-        frame, before = self.frames[key], self.states
+        frame, before = self.frames[key], self.commanded
         self._image[key] = self._wanted(key, states)
         self._find_missed(frame.lines & ~states)
-        self.states = before & ~frame.lines | states & frame.lines
-        if switched := before ^ self.states:
+        self.commanded = before & ~frame.lines | states & frame.lines
+        if switched := before ^ self.commanded:
             self._move(frame, switched)
-            self.unread |= switched & (~self._trusted | self.pulsed & ~self.states)
+            self.unread |= switched & (~self._trusted | self.pulsed & ~self.commanded)
         return switched
 
     def _find_missed(self, lines: int) -> None:
         """Finds missed pulses: on lines that go off, or are read, and were not read back while they were on."""
-        self.missed |= lines & self.pulsed & self.states & self.unread & ~self._trusted
+        missed = lines & self.pulsed & self.commanded & self.unread & ~self._trusted
+        self.missed |= missed
+        self.unanswered |= missed
 
     def _move(self, frame: RpdoFrame, lines: int) -> None:
         for i in frame.boards:

@@ -52,7 +52,7 @@ class BusCommit:
         lines = union(self._outputs.frames[key].lines for key in self._leaving.values())
         if self._syncing:
             lines |= self._outputs.lines_of(self.bus)
-        return lines & (self.states ^ self._outputs.states)
+        return lines & (self.states ^ self._outputs.commanded)
 
     def refusal(self, keys: Sequence[Key]) -> str | None:
         if self.under_way:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from hyperbit.drivers.canopen.boards.board import Board, StateImage
+from hyperbit.drivers.canopen.boards.board import Board, InputLines
 from hyperbit.drivers.canopen.boards.outputs import OutputLines
 from hyperbit.drivers.canopen.boot.booting import Booting
 from hyperbit.drivers.canopen.faults import ArmFault, FaultLog
 from hyperbit.drivers.canopen.layout import lay_out, worst_case
-from hyperbit.drivers.canopen.pdo import union
 from hyperbit.drivers.canopen.run.error_reads import ErrorReads
 from hyperbit.drivers.canopen.run.heartbeat import Heartbeat, LoopClock
 from hyperbit.drivers.canopen.run.intruders import find_intruder
@@ -34,8 +33,12 @@ class Master:
     Attributes:
         board_of: index of the board with the outputs of each actuator.
         input_boards_of: indices of the boards with the end-stops of each actuator; none without end-stops.
+        outputs, inputs: what is known of the lines.
+        boards, links: the parts of the arm, by index and by name of the bus.
+        switching: commits and releases; tells which are under way, what has switched, and what failed.
+        booting: the boot of all boards, and its faults.
+        faults: faults since the last `drain`; each code and source once until the next `boot`.
         heartbeat: the master's heartbeat, which tells when it is due next.
-        verification: reads back what was switched; also tells which lines were not read.
         errors: reads of the boards' errors; a boot that is under way ends first.
     """
 
@@ -45,22 +48,22 @@ class Master:
         outputs_of = zip(wiring.channels, wiring.outputs_of, strict=True)
         pulsed = sum(lines for channel, lines in outputs_of if channel.pulse is not None)
         self._timing, self._clock = timing, LoopClock()
-        self._log, self._image, self._outputs = FaultLog(), StateImage(), OutputLines(layout, pulsed)
+        self.faults, self.inputs, self.outputs = FaultLog(), InputLines(), OutputLines(layout, pulsed)
         stuck_after = 0.8 * (timing.heartbeat_timeout - timing.heartbeat)  # before the boards lose the master
         self.links = {bus.name: Link(bus, send, stuck_after) for bus in wiring.buses}
         self._worst_case = {bus.name: worst_case(layout, timing, bus) for bus in wiring.buses}
-        self._boards = [
-            Board(i, board, self.links[board.bus], self._image, self._log.report)
+        self.boards = [
+            Board(i, board, self.links[board.bus], self.inputs, self.faults.report)
             for i, board in enumerate(layout.boards)
         ]
-        self._by_id = {(board.layout.bus, board.layout.node): board for board in self._boards}
-        self._booting = Booting(self._boards, self._outputs, timing)
+        self._by_id = {(board.layout.bus, board.layout.node): board for board in self.boards}
+        self.booting = Booting(self.boards, self.outputs, timing)
         links = tuple(self.links.values())
-        self.heartbeat = Heartbeat(links, self._boards, timing)
-        self._inputs = InputWatch(self._boards, links, wiring)
-        self._switching = OutputSwitching(self._boards, self.links, self._outputs, timing)
-        self.verification = Verification(self._boards, self._outputs, self._switching.commits)
-        self.errors = ErrorReads(self._boards, self._switching.commits)
+        self.heartbeat = Heartbeat(links, self.boards, timing)
+        self._input_watch = InputWatch(self.boards, links, wiring)
+        self.switching = OutputSwitching(self.boards, self.links, self.outputs, timing)
+        self._verification = Verification(self.boards, self.outputs, self.switching.commits)
+        self.errors = ErrorReads(self.boards, self.switching.commits)
 
     def receive_event(self, event: events.Event, now: float) -> None:
         """Takes an event of a bus."""
@@ -75,7 +78,7 @@ class Master:
                 if not (sent := link.echoed(frame, time)):  # another program of this computer has sent it
                     self.receive_event(events.FrameReceived(bus, frame, None), now)
                 for each in sent:
-                    self._switching.sent(bus, each, now, time)
+                    self.switching.sent(bus, each, now, time)
                     if each.id == cia301.NMT and (board := self._by_id.get((bus, each.data[1]))) is not None:
                         board.runner.check(time)  # its procedure may wait for the NMT command
             case events.FrameIgnored(_, bits):
@@ -86,11 +89,11 @@ class Master:
                     self._lose(fault)
             case events.BusOverrun(bus):
                 link.overruns += 1
-                if not self._booting.under_way:
-                    self._inputs.hurry(bus, time)
+                if not self.booting.under_way:
+                    self._input_watch.hurry(bus, time)
             case events.SendFailed(bus, frame, why):
                 link.send_failed(frame, time)
-                self._switching.send_failed(bus, frame, why)
+                self.switching.send_failed(bus, frame, why)
                 self.heartbeat.send_failed(bus, frame)
 
     def tick(self, now: float) -> None:
@@ -104,12 +107,12 @@ class Master:
             if (fault := link.tick(time, now)) is not None:
                 self._lose(fault)
         self.heartbeat.tick(now, time)
-        self._switching.tick(now, time)
-        for board in self._boards:
+        self.switching.tick(now, time)
+        for board in self.boards:
             board.tick(time, self._timing.heartbeat_timeout, self._clock.stalled)
-        if not self._booting.under_way:
-            self.verification.tick(time)
-            self._inputs.tick(time)
+        if not self.booting.under_way:
+            self._verification.tick(time)
+            self._input_watch.tick(time)
             self.errors.tick(time)
 
     def rest(self, period: float) -> None:
@@ -119,19 +122,19 @@ class Master:
     @property
     def resting(self) -> bool:
         """Whether no commit, boot or hurried read is under way, and all buses send: frames may wait for a tick."""
-        waits = self.committing or self.booting or self._outputs.unread or self._outputs.doubtful
+        waits = self.switching.under_way or self.booting.under_way or self.outputs.unread or self.outputs.doubtful
         return not waits and all(link.armed and not link.failing for link in self.links.values())
 
     def find_pause(self, now: float) -> ArmFault | None:
         """Returns a fault if `tick` was not called for so long that the boards lost their master; each pause once.
 
         After a pause the states of all boards are unknown until `boot`. A running boot begins again, without a fault.
-        Call this before any event is handled. `tick` and `commit` check it as well, and report to `drain_faults`.
+        Call this before any event is handled. `tick`, `commit` and `release` check it as well, and report it.
         """
         if (fault := self.heartbeat.find_pause(now)) is None:
             return None
-        self._forget(self._boards)  # their states are unknown after the pause
-        if self._booting.under_way:
+        self._forget(self.boards)  # their states are unknown after the pause
+        if self.booting.under_way:
             self.boot(now)
             return None
         return fault
@@ -142,147 +145,64 @@ class Master:
         Correctly configured boards are not written to. A running boot begins again. Earlier faults are forgotten.
         """
         time = self._clock.at(now)
-        self._log.clear()
-        self._switching.forget()
-        self.verification.begin()
-        self._inputs.begin(time)
+        self.faults.clear()
+        self.switching.forget()
+        self._verification.begin()
+        self._input_watch.begin(time)
         lost = {name: fault for name, link in self.links.items() if (fault := link.rearm()) is not None}
-        self._booting.begin(lost, time)
+        self.booting.begin(lost, time)
 
-    def commit(self, outputs: int, now: float, release: bool = False) -> None:
-        """Switches output lines to `outputs`. `committing`, `commit_failed` and `drain_switched` tell the result.
-
-        With `release` it only switches lines off, see `OutputSwitching.release`.
+    def commit(self, outputs: int, now: float) -> None:
+        """Switches output lines to `outputs`; `switching` tells the result.
 
         Raises:
             Busy: frames of the last commit were not sent yet, or a bus or a board is not ready.
             ValueError: `outputs` has a bit that is no line.
         """
         self._report_pause(now)
-        switch = self._switching.release if release else self._switching.commit
-        switch(outputs, now, self._clock.at(now))
+        self.switching.commit(outputs, now, self._clock.at(now))
 
-    def give_up(self, why: str) -> None:
-        """Gives up a commit, see `OutputSwitching.give_up`. Only the lines of `leaving` still switch."""
-        self._switching.give_up(why)
+    def release(self, off: int, now: float) -> None:
+        """Switches output lines off, in every state of boards and buses, see `OutputSwitching.release`."""
+        self._report_pause(now)
+        self.switching.release(off, now, self._clock.at(now))
 
     def question(self, board: int, now: float) -> None:
-        """Asks a board for its inputs by SDO; see `questioning`."""
-        if not self._booting.under_way:
-            self._boards[board].question(self._clock.at(now))
+        """Asks a board for its inputs by SDO; see `Board.questioning`."""
+        if not self.booting.under_way:
+            self.boards[board].question(self._clock.at(now))
 
     def probe_silent(self, now: float) -> None:
         """Asks lost boards whether they are back; see `back`. Call about once a second."""
-        for board in self._boards:
+        for board in self.boards:
             if not board.heard and board.link.usable:
                 board.probe(self._clock.at(now))
-
-    @property
-    def booting(self) -> bool:
-        return self._booting.under_way
-
-    @property
-    def boot_faults(self) -> list[ArmFault]:
-        """Faults of the last boot: one for each board or bus that is not ready."""
-        return self._booting.faults
 
     @property
     def back(self) -> bool:
         """Whether `boot` may succeed: all buses send, and all boards are heard."""
         fit = all(link.fit(self._clock.now) for link in self.links.values())
-        return fit and all(board.heard for board in self._boards)
+        return fit and all(board.heard for board in self.boards)
 
     @property
     def calm(self) -> bool:
         """Whether no commit, boot, read or question is under way. Only then can the master be pickled."""
-        return not (self.committing or self.booting or any(board.runner.running for board in self._boards))
-
-    @property
-    def committing(self) -> bool:
-        return self._switching.under_way
-
-    @property
-    def collecting(self) -> bool:
-        """Whether the commit still waits for the echo of RPDOs; only the last of them changes anything."""
-        return any(commit.collecting for commit in self._switching.commits.values())
-
-    @property
-    def leaving(self) -> int:
-        """Mask of the lines that frames under way will switch: SYNCs, and RPDOs of boards without SYNC."""
-        return union(commit.leaving for commit in self._switching.commits.values())
-
-    @property
-    def commit_failed(self) -> str | None:
-        """Why the last commit failed, as a sentence; None after a success. None of its frames is sent later."""
-        return self._switching.failed
-
-    @property
-    def outputs(self) -> int:
-        """Levels of the output lines after the last SYNC that was sent, or as read back by `boot`."""
-        return self._outputs.states
-
-    @property
-    def doubtful(self) -> int:
-        """Mask of the output lines that may be on, see `OutputLines.doubtful`."""
-        return self._outputs.doubtful
-
-    @property
-    def released(self) -> int:
-        """Mask of the output lines whose pulse has ended, and which were not read back as off."""
-        return self._outputs.released
+        waits = self.switching.under_way or self.booting.under_way
+        return not (waits or any(board.runner.running for board in self.boards))
 
     @property
     def outputs_known(self) -> bool:
-        """Whether `outputs` are known: all boards are ready, and no SYNC is being sent."""
-        sending = any(commit.unknown for commit in self._switching.commits.values())
-        return not sending and all(board.ready for board in self._boards)
-
-    @property
-    def ends(self) -> int:
-        """Levels of the input lines; 0 where unknown."""
-        return self._image.ends & self._image.up
-
-    @property
-    def inputs_known(self) -> int:
-        """Mask of the input lines whose board is ready."""
-        return self._image.up
+        """Whether `outputs.commanded` is known: all boards are ready, and no SYNC is being sent."""
+        return not self.switching.unknown and all(board.ready for board in self.boards)
 
     def unanswered(self, lock: Interlock) -> str | None:
         """Returns why the object of an interlock is unknown, so that it counts as open; None: it is known."""
         return self._by_id[lock.bus, lock.node].unread.get(lock.watched) if lock.watched else None
 
-    @property
-    def known(self) -> int:
-        """Mask of the actuators whose boards are all ready: that of the outputs and those of the end-stops."""
-        return self._image.known
-
-    @property
-    def boots(self) -> tuple[int, ...]:
-        """Number of boot-up messages of each board so far."""
-        return tuple(board.boots for board in self._boards)
-
-    def heard(self, board: int) -> int:
-        """Number of understood frames of a board so far; 0 if it is not ready."""
-        return self._boards[board].frames if self._boards[board].ready else 0
-
-    def questioning(self, board: int) -> bool:
-        """Returns whether a question to a board still waits for its answer."""
-        return self._boards[board].questioning
-
-    def drain_faults(self) -> list[ArmFault]:
-        """Returns the faults since the last call; each code and source once until the next `boot`."""
-        return self._log.drain()
-
-    def drain_switched(self) -> list[tuple[int, float]]:
-        """Returns the switches since the last call: mask of lines, and time at which the SYNC was known as sent [s]."""
-        switched = list(self._switching.switched)
-        self._switching.switched.clear()
-        return switched
-
     def warnings(self) -> tuple[ArmFault, ...]:
         """Returns the warnings: error-passive buses; limits of boards, and outputs written off before the start."""
         passive = tuple(fault for link in self.links.values() if (fault := link.passive()) is not None)
-        boards = [board for board in self._boards if board.ready]
+        boards = [board for board in self.boards if board.ready]
         limits = (
             ArmFault("board-limits", b.name, f"board {b.name}: {'; '.join(b.warnings)}") for b in boards if b.warnings
         )
@@ -293,14 +213,14 @@ class Master:
     def status(self) -> MasterStatus:
         return MasterStatus(
             buses=tuple(link.status(self._worst_case[name]) for name, link in self.links.items()),
-            boards=tuple(board.status(self._clock.now) for board in self._boards),
+            boards=tuple(board.status(self._clock.now) for board in self.boards),
         )
 
     def _receive_frame(self, bus: str, frame: Frame, time: float) -> bool:
         """Takes a frame of another node; returns whether it was understood."""
         cob_id, data = frame
-        if (fault := find_intruder(bus, frame, is_rpdo=(bus, cob_id) in self._outputs.frames)) is not None:
-            self._log.report(fault)
+        if (fault := find_intruder(bus, frame, is_rpdo=(bus, cob_id) in self.outputs.frames)) is not None:
+            self.faults.report(fault)
             if cob_id == cia301.NMT and len(data) == 2:
                 self._obey(bus, data[0], data[1], time)
             return True
@@ -310,7 +230,7 @@ class Master:
         boots = board.boots
         understood = board.receive_frame(cob_id, data, time)
         if board.boots != boots:
-            self._booting.rebooted(board, time)
+            self.booting.rebooted(board, time)
         elif cob_id & ~0x7F == cia301.HEARTBEAT:
             self.heartbeat.answered(board, time)
         board.runner.check(time)
@@ -318,21 +238,21 @@ class Master:
 
     def _obey(self, bus: str, command: int, node: int, time: float) -> None:
         """Takes another program's NMT command to a node, or to all nodes of a bus: 0."""
-        here = [board for board in self._boards if board.layout.bus == bus]
+        here = [board for board in self.boards if board.layout.bus == bus]
         for each in (board for board in here if node in (0, board.layout.node)):
             each.obey(command)
             if command == Command.START:  # the pins now match 6200h, so its boot begins again
-                self._booting.rebooted(each, time)
+                self.booting.rebooted(each, time)
 
     def _report_pause(self, now: float) -> None:
         if (fault := self.find_pause(now)) is not None:
-            self._log.report(fault)
+            self.faults.report(fault)
 
     def _lose(self, fault: ArmFault) -> None:
-        self._forget(b for b in self._boards if b.layout.bus == fault.source)  # one fault for the bus, not for each
-        self._switching.bus_lost(fault.source)
-        self._booting.bus_lost(fault)
-        self._log.report(fault)
+        self._forget(b for b in self.boards if b.layout.bus == fault.source)  # one fault for the bus, not for each
+        self.switching.bus_lost(fault.source)
+        self.booting.bus_lost(fault)
+        self.faults.report(fault)
 
     def _forget(self, boards: Iterable[Board]) -> None:
         """Marks the states of boards as unknown until their boot."""

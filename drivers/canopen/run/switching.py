@@ -31,8 +31,8 @@ class OutputSwitching:
         self, boards: Sequence[Board], links: Mapping[str, Link], outputs: OutputLines, timing: Timing
     ) -> None:
         self.failed: str | None = None  # why the last stage has failed, as a sentence; None after a success
-        self.switched: list[tuple[int, float]] = []  # masks of lines, each with the real time of its SYNC or write [s]
-        self.commits = {name: BusCommit(link, outputs, self.switched) for name, link in links.items()}
+        self._switched: list[tuple[int, float]] = []
+        self.commits = {name: BusCommit(link, outputs, self._switched) for name, link in links.items()}
         self._boards, self._outputs = boards, outputs
         # A commit that takes longer is cancelled, since its SYNC would be too late [s].
         self._longest = timing.heartbeat_timeout / 2
@@ -46,12 +46,33 @@ class OutputSwitching:
         """Whether a stage is under way, or a frame of an abandoned one."""
         return any(commit.under_way for commit in self._stage)
 
+    @property
+    def collecting(self) -> bool:
+        """Whether a commit waits for the echo of RPDOs; only the last of them changes anything."""
+        return any(commit.collecting for commit in self.commits.values())
+
+    @property
+    def unknown(self) -> bool:
+        """Whether a frame that switches was handed out, and its sending is not confirmed."""
+        return any(commit.unknown for commit in self.commits.values())
+
+    @property
+    def leaving(self) -> int:
+        """Mask of the lines that frames under way will switch: SYNCs, and RPDOs of boards without SYNC."""
+        return union(commit.leaving for commit in self.commits.values())
+
+    def drain(self) -> list[tuple[int, float]]:
+        """Returns the switches since the last call: mask of lines, and real time of the SYNC or write [s]."""
+        switched = list(self._switched)
+        self._switched.clear()
+        return switched
+
     def commit(self, outputs: int, now: float, time: float) -> None:
         """Switches all output lines: sends RPDOs, then one SYNC on each bus with a change."""
         due = self._outputs.due(outputs)
         if self.under_way:
             raise Busy("frames of the previous commit were not sent yet")
-        self.failed = None
+        self._stage, self.failed = [], None
         if not due:
             return
         refusals = (self.commits[bus].refusal(keys) for bus, keys in due.items())
@@ -63,24 +84,24 @@ class OutputSwitching:
             self.commits[bus].begin(outputs, [], keys, now, time)
         self._advance(now, time)
 
-    def release(self, outputs: int, now: float, time: float) -> None:
-        """Switches the lines off that are not in `outputs`; on their buses it gives a stage up whose RPDOs wait.
+    def release(self, off: int, now: float, time: float) -> None:
+        """Switches lines off; on their buses it gives a stage up whose RPDOs wait.
 
         A release also works for boards that are not ready, for buses that send frames again after a loss, and during a
         boot. A release that cannot begin now begins at a later call. A release that waits for its echoes continues. It
         omits boards that have restarted: their outputs are off. No frame leaves on a bus with an output of unknown
         level: there each board that answers gets the lines off by SDO, and keeps its other outputs.
         """
-        states, doubtful = self._outputs.states, self._outputs.doubtful
+        commanded, doubtful = self._outputs.commanded, self._outputs.doubtful
         alive = union(board.layout.output_lines for board in self._boards if not board.restarted)
-        off = (states | doubtful) & ~outputs & alive
+        off &= (commanded | doubtful) & alive
         unknown = {board.layout.bus for board in self._boards if not board.remembered}
         for bus in self.commits:
             here = self._outputs.lines_of(bus)
             if off & here and (bus in unknown or doubtful & here & ~off):
                 self._switch_off(bus, off & here, time)
             elif off & here:
-                self._release(bus, states & ~off, off & here, now, time)
+                self._release(bus, commanded & ~off, off & here, now, time)
         self._advance(now, time)
 
     def give_up(self, why: str, commits: Sequence[BusCommit] | None = None) -> None:
@@ -168,7 +189,7 @@ class OutputSwitching:
 
     def _written_off(self, lines: int) -> None:
         if lines:
-            self.switched.append((lines, self._now))
+            self._switched.append((lines, self._now))
 
     def _ends(self, commit: BusCommit, off: int, now: float) -> bool:
         """Returns whether a stage that has just begun switches the lines off without waiting for another bus.

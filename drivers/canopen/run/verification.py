@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 from hyperbit.drivers.canopen.boards.board import Board
 from hyperbit.drivers.canopen.boards.outputs import OutputLines
@@ -32,6 +33,21 @@ _POLLED_EVERY, _POLLED_SHARE = 0.25, 0.1  # [s] for watched objects without a TP
 Reads = Generator[Step, SdoOutcome, None]
 
 
+@dataclass
+class OutputReads:
+    """What the reads of one board's outputs have shown since a boot has begun."""
+
+    silent: int = 0  # successive reads without a result, while the board sends other frames
+    heard: int = 0  # number of the board's frames at the last of them
+    wrong: int = 0  # number of wrong reads since the last change of `stays`
+    stays: int = 0  # lines that were read wrong, and have had the same level since
+    levels: int = 0  # their levels
+    missed: int = 0  # successive pulses that were not read back, although the board answers
+    pause: float = 0.0  # until the next read [s]
+    next: float = 0.0  # time of this read [s]
+    asked_at: float = 0.0  # time of the last read [s]
+
+
 class Verification:
     """Reads outputs back after each switch, and all objects of the boot in turn.
 
@@ -42,63 +58,21 @@ class Verification:
 
     def __init__(self, boards: Sequence[Board], outputs: OutputLines, commits: Mapping[str, BusCommit]) -> None:
         self._boards, self._outputs, self._commits = boards, outputs, commits
-        self.believe(True)
-        count = len(boards)
-        self._silent = [0] * count  # successive reads without a result, while the board sends other frames
-        self._heard = [0] * count  # number of the board's frames at the last silent read
-        self._wrong = [0] * count  # number of wrong reads since the last change of `_stays`
-        self._stays = [0] * count  # lines that were read wrong, and have had the same level since
-        self._levels = [0] * count  # their levels
-        self._missed = [0] * count  # successive pulses that were not read back, although the board answers
-        self._unanswered = [False] * count  # whether a pulse was missed, and the board has not answered since
-        self._pause = [0.0] * count  # until the next read of outputs [s]
-        self._next_read = [0.0] * count  # time of this read
-        self._asked_at = [0.0] * count  # time of the last read
         self._next = dict.fromkeys(commits, 0.0)  # time of the next paced read on each bus
         self._turns = dict.fromkeys(commits, 0)
         self._of_bus = {bus: [board for board in boards if board.layout.bus == bus] for bus in commits}
-
-    def believe(self, ends: bool) -> None:
-        """Believes the end-stops, or reads each output back as one without."""
-        sensed = union(board.layout.sensed for board in self._boards) if ends else 0
-        self._urgent = ~sensed | self._outputs.pulsed  # lines that are read at once
-        self._fragile = self._outputs.pulsed & ~sensed  # lines that only a read inside the pulse can verify
+        self.begin()
 
     def begin(self) -> None:
         """Records that a boot of all boards has begun."""
-        count = len(self._boards)
-        self._silent, self._wrong, self._stays = [0] * count, [0] * count, [0] * count
-        self._unanswered = [False] * count
-
-    @property
-    def unread(self) -> int:
-        """Mask of the lines that were switched and not read back, and have no end-stop; missed pulses, too."""
-        outputs = self._outputs
-        unread = outputs.unread & ~outputs.released & (~outputs.pulsed & self._urgent | self._fragile)
-        return unread | outputs.missed & self._fragile
-
-    def drain_missed(self) -> int:
-        """Returns, since the last call, lines without end-stops whose pulse ended before it was read."""
-        missed, self._outputs.missed = self._outputs.missed, 0
-        for board in self._boards if missed else ():
-            lines = board.layout.output_lines & missed
-            board.unverified += bool(lines)
-            self._unanswered[board.index] |= bool(lines & self._fragile)
-        return missed & self._fragile
-
-    def _count_missed(self, board: Board) -> None:
-        """Counts a missed pulse when the board answers: one that was unplugged in the pulse will be lost."""
-        i = board.index
-        self._missed[i] += self._unanswered[i]
-        self._unanswered[i] = False
-        if self._missed[i] == _MOST_MISSED:
-            text = f"pulses of board {board.name} were over {_MOST_MISSED} times before they were read back"
-            advice = "give longer pulses or end-stops, or verify: false in boards.nodes"
-            self._fail(board, "not-verified", f"{text}: {advice}")
+        self._reads = [OutputReads() for _ in self._boards]
+        self._outputs.unanswered = 0
 
     def tick(self, now: float) -> None:
         """Starts the reads that are due; `now` stands still while the loop stalls [s]."""
-        released, hurried = self._outputs.released, self._outputs.unread & (self._urgent | union(self._stays))
+        outputs = self._outputs
+        released = outputs.released
+        hurried = outputs.unread & (outputs.blind | outputs.pulsed | union(reads.stays for reads in self._reads))
         for bus, commit in self._commits.items():
             if not commit.link.usable or commit.under_way:
                 continue
@@ -108,7 +82,7 @@ class Verification:
                     board.runner.start(self._read_outputs(board, lines), None, now)
             due = [board for board in due if not board.runner.running and board.ready]
             if commit.link.armed:
-                self._read_slowly(commit.link, sorted(due, key=lambda board: self._asked_at[board.index]), now)
+                self._read_slowly(commit.link, sorted(due, key=lambda board: self._reads[board.index].asked_at), now)
 
     def _read_slowly(self, link: Link, due: list[Board], now: float) -> None:
         """Reads boards with end-stops, and then all objects in turn, at a slow pace."""
@@ -122,15 +96,15 @@ class Verification:
                 self._take_turn(bus, now)
                 break
             board = due.pop(0)
-            self._asked_at[board.index] = now
+            self._reads[board.index].asked_at = now
             board.runner.start(self._read_outputs(board, self._outputs.unread), None, now)
 
     def _due(self, board: Board, now: float) -> bool:
-        i = board.index
-        if self._pause[i]:
-            self._next_read[i], self._pause[i] = now + self._pause[i], 0.0
+        reads = self._reads[board.index]
+        if reads.pause:
+            reads.next, reads.pause = now + reads.pause, 0.0
         unread = board.layout.output_lines & self._outputs.unread
-        return bool(unread) and now >= self._next_read[i] and not board.runner.busy
+        return bool(unread) and now >= reads.next and not board.runner.busy
 
     def _take_turn(self, bus: str, now: float) -> None:
         """Reads one object of one board: all boards in turn, and all objects of each in turn."""
@@ -158,48 +132,63 @@ class Verification:
             if not outcome.data:
                 self._unread(board, sub, outcome)
                 return
-            self._silent[board.index] = 0
-            self._count_missed(board)
             self._compare(board, sub, outcome.data[0])
 
     def _compare(self, board: Board, sub: int, found: int) -> None:
-        i, outputs = board.index, self._outputs
-        released, off = outputs.released & ~self._stays[i], outputs.pulsed & ~outputs.states
-        right, wrong = outputs.read(i, sub, found)
-        if right & outputs.pulsed & outputs.states:
-            self._missed[i] = 0
+        reads, outputs = self._reads[board.index], self._outputs
+        reads.silent = 0
+        self._count_missed(board, reads)
+        released, off = outputs.released & ~reads.stays, outputs.pulsed & ~outputs.commanded
+        right, wrong = outputs.read(board.index, sub, found)
+        if right & outputs.pulsed & outputs.commanded:
+            reads.missed = 0
         outputs.mistrust(wrong & off)
         outputs.missed |= wrong & off & ~released  # another program has switched it on
-        self._pause[i] = (_PULSE_PAUSE if wrong & outputs.pulsed & ~off else _PAUSE) if wrong else 0.0
+        reads.pause = (_PULSE_PAUSE if wrong & outputs.pulsed & ~off else _PAUSE) if wrong else 0.0
         wrong &= ~released
         # Counts a wrong read. Only a different level than at an earlier wrong read shows that a line follows late.
-        levels = outputs.states ^ wrong
-        self._stays[i] = self._stays[i] & ~((right | wrong) & (levels ^ self._levels[i])) | wrong
-        self._levels[i] = self._levels[i] & ~wrong | levels & wrong
-        self._wrong[i] = (self._wrong[i] if self._stays[i] else 0) + bool(wrong)
+        levels = outputs.commanded ^ wrong
+        reads.stays = reads.stays & ~((right | wrong) & (levels ^ reads.levels)) | wrong
+        reads.levels = reads.levels & ~wrong | levels & wrong
+        reads.wrong = (reads.wrong if reads.stays else 0) + bool(wrong)
         most = _PULSE_TRIES if wrong & outputs.pulsed else _TRIES
-        if wrong and self._wrong[i] >= most and board.ready:
-            used, should = (bits >> 8 * (sub - 1) & 0xFF for bits in (board.layout.output_bits, outputs.bits(i)))
+        if wrong and reads.wrong >= most and board.ready:
+            used, should = (
+                bits >> 8 * (sub - 1) & 0xFF for bits in (board.layout.output_bits, outputs.bits(board.index))
+            )
             text = f"board {board.name} has {found & used:02X}h in {_place(board, sub)}; {should:02X}h was switched"
             cause = "it does not follow RPDO and SYNC, or another program writes to it; reset configures it again"
             self._fail(board, "not-switched", f"{text}: {cause}")
 
+    def _count_missed(self, board: Board, reads: OutputReads) -> None:
+        """Counts a missed pulse when the board answers: one that was unplugged in the pulse will be lost."""
+        missed = board.layout.output_lines & self._outputs.unanswered
+        if not missed:
+            return
+        self._outputs.unanswered &= ~missed
+        board.unverified += 1
+        reads.missed += bool(missed & self._outputs.blind)
+        if reads.missed == _MOST_MISSED:
+            text = f"pulses of board {board.name} were over {_MOST_MISSED} times before they were read back"
+            advice = "give longer pulses or end-stops, or verify: false in boards.nodes"
+            self._fail(board, "not-verified", f"{text}: {advice}")
+
     def _unread(self, board: Board, sub: int, outcome: SdoOutcome) -> None:
         """Counts a read without a result. It verifies nothing, so the board stays due. A silent board will be lost."""
-        i = board.index
+        reads = self._reads[board.index]
         self._outputs.mistrust(board.layout.output_lines & self._outputs.released)
-        self._pause[i] = _PAUSE
+        reads.pause = _PAUSE
         board.unverified += 1
-        self._silent[i] += outcome.silence is None or board.frames > self._heard[i]
-        self._heard[i] = board.frames
-        if self._silent[i] >= _MOST_SILENT and board.ready:
+        reads.silent += outcome.silence is None or board.frames > reads.heard
+        reads.heard = board.frames
+        if reads.silent >= _MOST_SILENT and board.ready:
             why = outcome.silence or f"it refuses: {abort_words(outcome.abort or 0)}"
             what = f"does not let {_place(board, sub)} be read back, {_MOST_SILENT} times in a row"
             self._fail(board, "not-verified", f"board {board.name} {what}: {why}")
 
     def _fail(self, board: Board, code: str, text: str) -> None:
-        i = board.index
-        self._silent[i] = self._wrong[i] = self._stays[i] = self._missed[i] = 0
+        reads = self._reads[board.index]
+        reads.silent = reads.wrong = reads.stays = reads.missed = 0
         board.fail(code, text)
 
     def _object(self, board: Board, need: Need) -> Reads:

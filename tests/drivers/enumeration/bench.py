@@ -202,7 +202,7 @@ def extended(bench: Bench) -> bool:
     """
     master = bench.start_master()
     master.boot(bench.now)
-    assert bench.until(lambda: not master.booting, LONGEST_BOOT)
+    assert bench.until(lambda: not master.booting.under_way, LONGEST_BOOT)
     if not master.outputs_known:
         return False
     count, states = len(bench.wiring.channels), (1 << len(bench.wiring.channels)) - 1
@@ -210,8 +210,8 @@ def extended(bench: Bench) -> bool:
         if i % 2:
             states ^= 1 << k | 1 << count + i
     bench.commit(states)
-    assert bench.until(lambda: not master.committing, 10.0)
-    assert master.commit_failed is None
+    assert bench.until(lambda: not master.switching.under_way, 10.0)
+    assert master.switching.failed is None
     assert bench.lines == states
     bench.pass_time(2 * bench.timing.travel_time + 0.2)
     return True

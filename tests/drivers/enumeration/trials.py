@@ -171,7 +171,7 @@ def frames_of_a_boot(copies: Copies) -> list[Frame]:
     master = bench.start_master()
     bench.log.clear()
     master.boot(bench.now)
-    assert bench.until(lambda: not master.booting, LONGEST_BOOT)
+    assert bench.until(lambda: not master.booting.under_way, LONGEST_BOOT)
     return bench.log
 
 
@@ -201,7 +201,7 @@ def _boot(bench: Bench, injection: Injection, failure: Failure) -> Iterator[str]
     bench.call(lambda master: master.boot(bench.now))
 
     def over() -> bool:
-        rests = bench.running is not None and not bench.stalled and not bench.master.booting
+        rests = bench.running is not None and not bench.stalled and not bench.master.booting.under_way
         return rests and (injection.over or not injection.struck)
 
     ended = bench.until(over, LONGEST_BOOT)
@@ -209,12 +209,12 @@ def _boot(bench: Bench, injection: Injection, failure: Failure) -> Iterator[str]
         yield "the boot does not end"
     yield from _unclear_sentences(bench.master, failure)
     between = failure.kind not in OF_REQUESTS and struck != injection.struck
-    if any(fault.code in REFUSALS for fault in bench.master.boot_faults) and not between:
+    if any(fault.code in REFUSALS for fault in bench.master.booting.faults) and not between:
         yield from _left_changed(bench, found)
 
 
 def _unclear_sentences(master: Master, failure: Failure) -> Iterator[str]:
-    for fault in master.boot_faults:
+    for fault in master.booting.faults:
         named = f"board {BUS}/{NODE}" in fault.message if fault.source != BUS else BUS in fault.message
         if not named:
             yield f"a sentence names no board: {fault.message}"
@@ -234,7 +234,7 @@ def _picture(bench: Bench) -> _Picture:
 def _left_changed(bench: Bench, found: _Picture) -> Iterator[str]:
     """Yields the objects and the state that a refused boot has left in another way than it found them."""
     objects, variant = bench.it.objects, bench.it.variant
-    why = "; ".join(fault.message for fault in bench.master.boot_faults)
+    why = "; ".join(fault.message for fault in bench.master.booting.faults)
     default = Objects(NODE, variant, lambda index, sub: None)
     default.stored = objects.stored
     for key in sorted(found.values.keys() | objects.values.keys()):
@@ -279,8 +279,8 @@ def _verdict(bench: Bench, holding: int, ready: bool, broken: list[str]) -> Verd
     broken += [f"START has changed pins: {change}" for change in started]
     broken += [f"pins that hold have changed: {change}" for change in moved if change not in started]
     broken += [f"pins came on: {change}" for change in energised if change not in started]
-    if ready and bench.master.outputs != bench.lines:
-        broken.append(f"the master is wrong on the pins: it believes {bench.master.outputs:b}, not {bench.lines:b}")
+    if ready and (believed := bench.master.outputs.commanded) != bench.lines:
+        broken.append(f"the master is wrong on the pins: it believes {believed:b}, not {bench.lines:b}")
     return Verdict(ready, tuple(broken))
 
 

@@ -69,7 +69,7 @@ def test_a_variant_boots_and_switches_or_is_refused_with_a_sentence(case: Case) 
     check_needs(world, case)
     for states in ((1, 1), (0, 1), (1, 0), (0, 0)):
         world.commit(*states)
-        assert world.master.commit_failed is None
+        assert world.master.switching.failed is None
         world.run(1.0)
         assert (world.positions(), world.measured()) == (list(states), list(states))
     assert world.switches() == [4, 2]
@@ -132,7 +132,7 @@ def test_the_frames_of_the_standard_board() -> None:
     world = case_of("standard").world()
     assert world.boot() == []
     world.commit(1, 1)
-    world.until(lambda: not world.master.verification.unread)
+    world.until(lambda: not world.master.outputs.unproven)
     assert spoken(world) == STANDARD.read_text()
 
 
@@ -161,7 +161,7 @@ def test_after_the_loss_of_the_master_outputs_are_known_and_a_start_moves_nothin
     before = world.switches()
     world.up()
     world.run(1.0)
-    assert (world.positions(), world.switches(), world.master.outputs) == (left, before, bits(*left))
+    assert (world.positions(), world.switches(), world.master.outputs.commanded) == (left, before, bits(*left))
     assert all(pins == after for pins, after in world.board().started)
     world.commit(0, 1, then=1.0)
     assert world.positions() == [0, 1]
@@ -177,7 +177,7 @@ def test_outputs_after_a_reset_of_communication_are_read(name: str, left: list[i
     before = world.switches()
     world.up()
     world.run(1.0)
-    assert (world.positions(), world.switches(), world.master.outputs) == (left, before, bits(*left))
+    assert (world.positions(), world.switches(), world.master.outputs.commanded) == (left, before, bits(*left))
 
 
 BOOTING = sorted({case.variant for case in READY if not case.options})

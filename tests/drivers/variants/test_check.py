@@ -123,7 +123,7 @@ def test_check_gives_the_verdict_of_run_after_errors(case: Case, history: str) -
                 world.board().emergencies.recover(code)
     [answer] = checked(world)
     restart(world)
-    ready, told = world.master.outputs_known, [fault.message for fault in world.master.boot_faults]
+    ready, told = world.master.outputs_known, [fault.message for fault in world.master.booting.faults]
     stands = any(code != MASTER_LOST for code in world.board().emergencies.present)
     assert not (ready and stands and world.objects.has(0x1003)), "an error was acknowledged"
     if "only run can tell" in answer.text:

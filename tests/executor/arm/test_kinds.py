@@ -36,7 +36,7 @@ def test_both_outputs_of_a_pair_are_never_on_and_tell_the_state(kinds: Kinds, da
     told = on | ~kinds.paired
     assert (kinds.states(outputs, before) ^ states) & told & kinds.everything == 0
     assert (kinds.states(outputs, before) ^ before) & ~told == 0
-    assert kinds.without(outputs, kinds.paired) == states & ~kinds.paired
+    assert outputs & ~kinds.lines(kinds.paired) == states & ~kinds.paired
 
 
 @given(kinds=wirings(), states=st.integers(0, 31), commanded=st.integers(0, 31))

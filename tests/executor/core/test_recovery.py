@@ -21,7 +21,7 @@ def test_faults_that_clear_by_themselves_are_left_without_a_reset(rig: Rig, code
     assert (rig.mode, rig.snapshot.faults, rig.switched) == ("ready", (), [A])
 
 
-@pytest.mark.parametrize("verb", ["tick", "commit", "measured", "receive_event"])
+@pytest.mark.parametrize("verb", ["tick", "commit", "ends", "receive_event"])
 def test_a_defect_is_a_fault_the_arm_holds_and_the_executor_goes_on(rig: Rig, verb: str) -> None:
     rig.run(A, B)
     rig.go(0.05)

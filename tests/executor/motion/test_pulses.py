@@ -46,7 +46,7 @@ def toggle(rig: Rig, times: int) -> int:
     for count in range(times):
         if rig.mode == "fault":
             return count
-        rig.run(rig.master.outputs ^ 1, step=1)
+        rig.run(rig.master.outputs.commanded ^ 1, step=1)
         rig.go(TRAVEL + TICK)
     return times
 

@@ -55,7 +55,7 @@ def committing(boards: str, sent: int) -> tuple[World, int]:
         log = world.buses["can0"].log or ()
         return sum(frame.id == cia301.SYNC or frame.id & 0x780 in RPDOS for frame in log)
 
-    world.agenda.until(lambda: left() >= sent or not world.core.master.committing)
+    world.agenda.until(lambda: left() >= sent or not world.core.master.switching.under_way)
     world.go(WAKE_UP)  # the executor gets the last echo
     return world, before
 

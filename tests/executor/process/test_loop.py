@@ -141,7 +141,7 @@ def test_a_program_is_acted_on_without_a_tick(bench: Bench) -> None:
     ticks = len(bench.core.master.ticks)
     bench.step = 0.1 * TICK
     bench.go(1)
-    assert (bench.core.master.outputs, len(bench.core.master.ticks)) == (1, ticks)
+    assert (bench.core.master.outputs.commanded, len(bench.core.master.ticks)) == (1, ticks)
 
 
 def test_a_message_shortly_before_a_tick_waits_for_it(bench: Bench) -> None:
@@ -216,7 +216,7 @@ def test_a_second_quit_does_not_wait_for_the_contraction(tmp_path: Path) -> None
     bench = Bench(tmp_path / "arm.sock", contract_on_stop=True)
     bench.run()
     bench.go(20)
-    assert bench.core.master.outputs == 1
+    assert bench.core.master.outputs.commanded == 1
     bench.loop.quit()
     thread = bench.in_thread()
     while not bench.core.ending.begun:

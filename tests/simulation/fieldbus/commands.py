@@ -34,9 +34,9 @@ class Command(NamedTuple):
 
     def give_up(self) -> int:
         """Gives it up; returns the lines that still switch, as told."""
-        if self.arm.master.committing:
-            self.arm.master.give_up(WHY)
-        return self.arm.master.leaving
+        if self.arm.master.switching.under_way:
+            self.arm.master.switching.give_up(WHY)
+        return self.arm.master.switching.leaving
 
     def refused(self, states: int) -> str:
         try:
@@ -47,15 +47,16 @@ class Command(NamedTuple):
         return ""
 
     def over(self) -> None:
-        self.arm.wait(lambda: not self.arm.master.committing, COMMITTED + self.arm.sight.slack, "over")
+        self.arm.wait(lambda: not self.arm.master.switching.under_way, COMMITTED + self.arm.sight.slack, "over")
 
     def judge(self, switched: int) -> None:
         """Requires that these lines have switched, and no others, and that the master tells this."""
         self.over()
         master, driven = self.arm.master, self.arm.driven()
         require(driven == self.before ^ switched, f"the pins are {driven:b}; {switched:b} of {self} switches")
-        require(master.outputs == driven, f"outputs {master.outputs:b} are told; {driven:b} are driven")
-        told = sum(mask for mask, _ in master.drain_switched())
+        outputs = master.outputs.commanded
+        require(outputs == driven, f"outputs {outputs:b} are told; {driven:b} are driven")
+        told = sum(mask for mask, _ in master.switching.drain())
         require(told == switched, f"{told:b} is told as switched, {switched:b} has")
 
 
@@ -78,7 +79,7 @@ def _give_up(command: Command) -> int:
     arm = command.arm
     command.send()
     held = sum(board.lines for name, board in arm.judged.boards.items() if arm.waits(name))
-    require(arm.master.collecting or not held & command.changed, "a command has begun, and is not told")
+    require(arm.master.switching.collecting or not held & command.changed, "a command has begun, and is not told")
     leaving = command.give_up()
     require(leaving == command.changed & ~held, f"{leaving:b} are leaving, {command} is given up, {held:b} wait")
     return leaving
@@ -87,7 +88,7 @@ def _give_up(command: Command) -> int:
 def _give_up_too_late(command: Command) -> int:
     command.send()
     arm, master = command.arm, command.arm.master
-    arm.wait(lambda: not master.collecting, 0.1, "past its RPDOs")
+    arm.wait(lambda: not master.switching.collecting, 0.1, "past its RPDOs")
     require(not master.outputs_known, "outputs are known while SYNCs leave")
     leaving = command.give_up()
     require(leaving == command.changed, f"{leaving:b} are leaving, {command.changed:b} change")
@@ -145,7 +146,7 @@ def _disturbed(disturbance: Disturbance, at: Place) -> Fault | None:
 
     def begin() -> None:
         command.judge(disturbance.happen(command))
-        failed = arm.master.commit_failed
+        failed = arm.master.switching.failed
         require(disturbance.fails in (None, failed is not None), f"the failure of {command} is {failed!r}")
 
     def check() -> None:
@@ -156,7 +157,8 @@ def _disturbed(disturbance: Disturbance, at: Place) -> Fault | None:
         if following.changed:
             following.send()
             following.judge(following.changed)
-            require(arm.master.commit_failed is None, f"{following} after {command} fails: {arm.master.commit_failed}")
+            failed = arm.master.switching.failed
+            require(failed is None, f"{following} after {command} fails: {failed}")
         arm.forget()
 
     return Fault(begin, arm.release_quietly, Told(within=AT_ONCE, beats=disturbance.happen is not _lose_RPDO), check)
@@ -175,7 +177,7 @@ def frames_stay_in_the_controller(at: Place) -> Fault | None:
 
     def check() -> None:
         command.judge(0)
-        require(command.arm.master.commit_failed, "a command has failed, and nothing is told")
+        require(command.arm.master.switching.failed, "a command has failed, and nothing is told")
 
     lost = tuple(name for name, board in command.arm.judged.boards.items() if board.bus == bus.name)
     return Fault(begin, bus.restore, Told(within=late, also=("bus-busy",), lost=lost, beats=False), check)
@@ -194,8 +196,8 @@ def bus_is_lost_with_a_SYNC(at: Place) -> Fault | None:
         arm.wait(lambda: bus.state == "down", 0.2, "down")
 
     def check() -> None:
-        require(arm.master.commit_failed, "a command has failed, and nothing is told")
-        told = arm.master.doubtful
+        require(arm.master.switching.failed, "a command has failed, and nothing is told")
+        told = arm.master.outputs.doubtful
         require(told == doubtful, f"{told:b} are doubtful, {doubtful:b} may have switched")
         command.over()
         require(bus.name in command.refused(command.states), f"a command is refused, and not for {bus.name}")
@@ -207,7 +209,7 @@ def bus_is_lost_with_a_SYNC(at: Place) -> Fault | None:
 def _release(arm: UsedArm, off: int) -> None:
     """Switches lines off while a board is lost: no frame changes another pin."""
     arm.ask_for_nothing()
-    arm.commit(~off & arm.judged.lines, release=True)
+    arm.release(off)
     arm.wait(lambda: not arm.moves(), COMMITTED + arm.sight.slack, "released")
     require(not arm.driven() & off, f"{off:b} is not switched off beside a lost board")
 
@@ -220,9 +222,10 @@ def command_without_a_board(at: Place) -> Fault | None:
 
     def check() -> None:
         require(at.name in command.refused(command.before ^ 1), f"a command is refused, and not for {at.name}")
-        others = [b for name, b in arm.judged.boards.items() if name != at.name and b.lines & arm.master.outputs]
+        on = arm.master.outputs.commanded
+        others = [board.lines & on for name, board in arm.judged.boards.items() if name != at.name and board.lines & on]
         if others and all(map(arm.waits, arm.looks)):
-            _release(arm, others[0].lines & arm.master.outputs)
+            _release(arm, others[0])
 
     told = Told(("board-lost",), (at.name,), (), at.timing.heartbeat_timeout + AT_ONCE, lost=(at.name,))
     return Fault(at.do("silence"), at.do("unsilence"), told, check)
@@ -259,13 +262,13 @@ def pulses_are_too_short(at: Place) -> Fault | None:
     def begin() -> None:
         for _ in range(3):
             arm.commit(before | line)
-            arm.wait(lambda: arm.master.outputs & line, 0.1, "on")
-            arm.commit(~line & arm.judged.lines, release=True)
+            arm.wait(lambda: arm.master.outputs.commanded & line, 0.1, "on")
+            arm.release(line)
             missed = f"{line:b} was on, not read back, and missed"
-            arm.wait(lambda: arm.master.verification.drain_missed() & line, COMMITTED, missed)
+            arm.wait(lambda: arm.master.outputs.drain_missed() & line, COMMITTED, missed)
             arm.wait(lambda: not arm.moves(), COMMITTED, "released")
             arm.pass_time(READ_BACK)
-            arm.master.drain_switched()
+            arm.master.switching.drain()
 
     words = ("before they were read back", "verify: false")
     return Fault(begin, told=Told(("not-verified",), (at.name,), words, AT_ONCE, lost=(at.name,)), check=arm.forget)

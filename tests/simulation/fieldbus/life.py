@@ -123,17 +123,17 @@ class Life(Site):
 
     def at_rest(self) -> bool:
         """Whether an executor runs, and no boot is under way."""
-        return self.running is not None and not self.stalled and not self.master.booting
+        return self.running is not None and not self.stalled and not self.master.booting.under_way
 
     def finish_boot(self) -> None:
-        self.wait(lambda: not self.master.booting, LONGEST_BOOT, "booted")
-        master, faults = self.master, self.master.boot_faults
+        self.wait(lambda: not self.master.booting.under_way, LONGEST_BOOT, "booted")
+        master, faults = self.master, self.master.booting.faults
         self.made["boot: refused" if faults else "boot: ready"] += 1
         for fault in faults:
             self.made[f"boot: {fault.code}"] += 1
         self.boots.end(faults, list(master.warnings()), master.outputs_known)
-        master.verification.drain_missed()  # of pulses that trouble has ended
-        late = master.drain_faults()
+        master.outputs.drain_missed()  # of pulses that trouble has ended
+        late = master.faults.drain()
         require(not late, f"faults are told twice: {late}")
         self.calm = self.ready = master.outputs_known
         if self.ready:
@@ -204,7 +204,8 @@ class Life(Site):
         return Fault(*do, Told(within=0.1 + self.sight.slack), self._judge_inputs)
 
     def _judge_inputs(self) -> None:
-        require(self.master.ends == self.ends(), f"inputs {self.master.ends:b} are told; they are {self.ends():b}")
+        told, ends = self.master.inputs.ends, self.ends()
+        require(told == ends, f"inputs {told:b} are told; they are {ends:b}")
 
     def flip_input(self, name: str) -> None:
         """Changes an input of a board within a moment, until `undo_flip`."""
@@ -225,7 +226,7 @@ class Life(Site):
         self.handed_out += 1
         self.see("sends", bus, frame)
         asks = frame.id & ~0x7F == 0x600 and frame.data[1:3] == READS_INPUTS
-        if asks and self.calm and self.master.booting and self.random.random() < 0.5:
+        if asks and self.calm and self.master.booting.under_way and self.random.random() < 0.5:
             self.flip_input(f"{bus}/{frame.id & 0x7F}")
 
     def to_master(self, event: Event) -> None:
@@ -246,17 +247,18 @@ class Life(Site):
 
     def _release(self) -> None:
         """Ends pulses, as an executor does at each tick, also while boards boot."""
-        possible = self.master.outputs | self.master.doubtful
-        self.stage = self.stage and self.master.committing
+        possible = self.master.outputs.commanded | self.master.outputs.doubtful
+        self.stage = self.stage and self.master.switching.under_way
         if possible & self.judged.pulsed and not self.stage:
-            self.commit(possible & ~self.judged.pulsed, release=True)
+            self.release(self.judged.pulsed)
 
-    def commit(self, states: int, release: bool = False) -> None:
-        if release:
-            self.released = ~states & self.judged.lines
-        else:
-            self.asked = {name: board.levels_of(states) for name, board in self.judged.boards.items()}
-        super().commit(states, release)
+    def commit(self, states: int) -> None:
+        self.asked = {name: board.levels_of(states) for name, board in self.judged.boards.items()}
+        super().commit(states)
+
+    def release(self, off: int) -> None:
+        self.released = off & self.judged.lines
+        super().release(off)
 
     def sees(self, cause: str, belongs_to: object) -> None:
         for name, look in self.looks.items() if self._pins and cause != "read" else ():

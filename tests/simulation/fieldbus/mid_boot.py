@@ -42,7 +42,7 @@ def _at_frame(arm: UsedArm, name: str, at: int, happen: Callable[[], str], only:
         if not sdo or (only and int.from_bytes(frame.data[1:3], "little") != only):
             return ""
         count[0] += 1
-        return happen() if count[0] == at + 1 and arm.running is not None and arm.master.booting else ""
+        return happen() if count[0] == at + 1 and arm.running is not None and arm.master.booting.under_way else ""
 
     arm.buses[name.split("/")[0]].intercept = look
 
@@ -64,7 +64,7 @@ def _restart(arm: UsedArm, name: str, deck: Deck) -> None:
     """The board restarts once, and boots anew."""
 
     def cut() -> None:
-        if arm.master.booting:
+        if arm.master.booting.under_way:
             _cut_supply(arm, name)
             arm.boots.again(name)
 
@@ -93,7 +93,7 @@ def _restarts(arm: UsedArm, name: str, deck: Deck) -> None:
 
     arm.buses[name.split("/")[0]].intercept = look
     _boot_unjudged(arm)
-    ours = [fault.code for fault in arm.master.boot_faults if fault.source == name]
+    ours = [fault.code for fault in arm.master.booting.faults if fault.source == name]
     right = ours == ["board-rebooted"] and len(restarts) > MOST_RESTARTS
     require(right or (not restarts and len(ours) == 1), f"{name} restarted {len(restarts)} times, told is {ours}")
 
@@ -138,7 +138,7 @@ def _fault(arm: UsedArm, name: str, deck: Deck) -> None:
     _boot_unjudged(arm)
     told = fault.told
     if struck and lasts and told is not None and told.lost and not told.also:
-        here = [(one.code, one.source) for one in arm.master.boot_faults if one.source.startswith(told.sources[0])]
+        here = [(one.code, one.source) for one in arm.master.booting.faults if one.source.startswith(told.sources[0])]
         lost = not arm.master.outputs_known and not arm.master.back
         require(here == [(told.codes[0], told.sources[0])] and lost, f"{row.name} in a boot, told is {here}")
     if struck:

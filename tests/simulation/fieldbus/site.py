@@ -91,9 +91,13 @@ class Site:
             for event in failed:
                 self.running.receive_event(event, self.now)
 
-    def commit(self, states: int, release: bool = False) -> None:
-        self.stage = not release
-        self.call(lambda m: m.commit(states, self.now, release=release))
+    def commit(self, states: int) -> None:
+        self.stage = True
+        self.call(lambda m: m.commit(states, self.now))
+
+    def release(self, off: int) -> None:
+        self.stage = False
+        self.call(lambda m: m.release(off, self.now))
 
     def tell(self, event: Event) -> None:
         """Gives the master an event, now or after its stall."""
@@ -170,7 +174,10 @@ class Site:
     def moves(self) -> bool:
         """Whether frames under way may switch something."""
         master = self.running
-        return master is not None and bool(master.committing or master.collecting or master.leaving or master.booting)
+        if master is None:
+            return False
+        switching = master.switching
+        return bool(switching.under_way or switching.collecting or switching.leaving or master.booting.under_way)
 
     def pass_time(self, seconds: float) -> None:
         self.agenda.run(seconds)

@@ -123,7 +123,7 @@ class ReadyBoardsAreOnlyRead(OfBoards):
         written = frame.id & ~0x7F == cia301.SDO_REQUEST and frame.data[0] not in READS
         if self.life.ready:
             self.require(frame.id != cia301.NMT and not written, f"{bus}: {frame} while all boards are ready")
-        elif self.life.master.booting:
+        elif self.life.master.booting.under_way:
             self.require(frame.id != cia301.SYNC and frame.id not in RPDOS, f"{bus}: {frame} in a boot")
 
 
@@ -196,7 +196,7 @@ class OutputsWereRead(OfBoards):
         """Lines were switched, and time has passed."""
         master = self.life.master
         for name, board in self.life.judged.boards.items():
-            told = changed & board.unsensed & ~(master.verification.unread | master.released)
+            told = changed & board.unsensed & ~(master.outputs.unproven | master.outputs.released)
             self.require(not told or name in self._read, f"{name}: {told:b} are told as read back, and nobody has read")
 
 
@@ -216,18 +216,21 @@ class ToldIsTrue(OfBoards):
         for board in boards:
             known &= ~board.actuators if board.name in lost else -1
         self.require(master.outputs_known == (not lost), f"{why}: outputs are known, and {lost} are lost, or neither")
-        self.require(master.known == known, f"{why}: actuators {master.known:b} are known, {known:b} are")
-        self.require(master.inputs_known == inputs, f"{why}: inputs {master.inputs_known:b} are known; {inputs:b} are")
-        self.require(not master.ends & ~inputs, f"{why}: inputs {master.ends:b} are told, {inputs:b} are known")
+        told = master.inputs
+        self.require(told.known == known, f"{why}: actuators {told.known:b} are known, {known:b} are")
+        self.require(told.up == inputs, f"{why}: inputs {told.up:b} are known; {inputs:b} are")
+        self.require(not told.ends & ~inputs, f"{why}: inputs {told.ends:b} are told, {inputs:b} are known")
 
     def tells(self) -> None:
         life, master, wiring = self.life, self.life.master, self.life.judged
         self.knows((), "ready")
-        self.require(master.ends == life.ends(), f"inputs are told as {master.ends:b}; they read {life.ends():b}")
+        ends, outputs = master.inputs.ends, master.outputs
+        self.require(ends == life.ends(), f"inputs are told as {ends:b}; they read {life.ends():b}")
         self.require(master.board_of == wiring.board_of, f"{master.board_of} are told as boards of the actuators")
         self.require(master.back, "the master is not ready")
-        self.require(not master.doubtful, f"outputs {master.doubtful:b} are doubtful")
-        self.require(master.outputs == life.driven(), f"{master.outputs:b} are told, {life.driven():b} are driven")
+        self.require(not outputs.doubtful, f"outputs {outputs.doubtful:b} are doubtful")
+        driven = life.driven()
+        self.require(outputs.commanded == driven, f"{outputs.commanded:b} are told, {driven:b} are driven")
         for told in master.status().boards:
             name, age = f"{told.bus}/{told.node}", told.heartbeat_age
             young = age is not None and -TICK <= age <= 2 * life.timing.heartbeat + 0.03

@@ -27,7 +27,7 @@ class UsedArm(Life):
         sent = self.handed_out
         self.commit(self.driven())
         require(not self.moves() and self.handed_out == sent, "a command that changes nothing sends frames")
-        require(not self.master.drain_faults(), "faults without a cause")
+        require(not self.master.faults.drain(), "faults without a cause")
 
     def drawn_states(self) -> int:
         return self.possible(self.random.getrandbits(self.judged.lines.bit_length()) & self.judged.lines)
@@ -44,36 +44,39 @@ class UsedArm(Life):
         self._send(states, states, "switches")
         if self.random.random() < 0.7:
             master = self.master
-            read = lambda: not master.verification.unread | master.released  # noqa: E731
+            read = lambda: not master.outputs.unproven | master.outputs.released  # noqa: E731
             self.wait(read, READ_AT_ONCE + self.sight.slack, "read back")
         self.see("switched", changed)
 
     def release_pulses(self) -> None:
         if on := self.driven() & self.judged.pulsed:
             self._send(~on & self.judged.lines, self.driven() & ~on, "releases")
-            self.wait(lambda: not self.master.released, READ_AT_ONCE + self.sight.slack, "read back off")
+            self.wait(lambda: not self.master.outputs.released, READ_AT_ONCE + self.sight.slack, "read back off")
             self.see("switched", on)
 
     def _send(self, states: int, after: int, what: str) -> None:
         """Gives a command, and requires that it switches all at once, tells when, and changes nothing else."""
         self.note(f"{what} {states:b}")
         master, before, began = self.master, self.driven(), self.now
-        unread = before & ~after & self.judged.pulsed & master.verification.unread
+        unread = before & ~after & self.judged.pulsed & master.outputs.unproven
         objects = {name: self.kept(name) for name in self.looks}
         self.see("commands")
-        self.commit(states, release=what == "releases")
+        if what == "releases":
+            self.release(~states)
+        else:
+            self.commit(states)
         self.wait(lambda: not self.moves(), COMMITTED, "committed")
         self.made[what] += 1
-        driven, failed = self.driven(), master.commit_failed
-        require(driven == after == master.outputs, f"{driven:b} are driven after a command of {after:b}: {failed}")
+        driven, told, failed = self.driven(), master.outputs.commanded, master.switching.failed
+        require(driven == after == told, f"{driven:b} are driven after a command of {after:b}: {failed}")
         require(failed is None and self.now - began <= 0.3 + self.sight.slack, f"{self.now - began:g} s: {failed}")
-        switched = master.drain_switched()
+        switched = master.switching.drain()
         told = sum(mask for mask, _ in switched)
         require(told == before ^ after, f"{switched} is told as switched; {before ^ after:b} has")
         moments = [self.moved_at[name] for name in self.looks]
         late = [one for one in switched if min(abs(one[1] - at) for at in moments) > LATE]
         require(not late, f"{late} is told as switched; the pins have changed at {self.moved_at}")
-        missed = master.verification.drain_missed()
+        missed = master.outputs.drain_missed()
         require(not missed & ~unread, f"pulses {missed:b} are missed; {unread:b} have ended unread")
         changed = [name for name in self.looks if self.kept(name) != objects[name]]
         require(not changed, f"a command changes objects of {changed} that are no outputs")
@@ -86,16 +89,16 @@ class UsedArm(Life):
 
     def release_quietly(self) -> None:
         """Switches the lines of pulses off after a fault, unjudged."""
-        on = self.master.outputs & self.judged.pulsed
+        on = self.master.outputs.commanded & self.judged.pulsed
         if on:
-            self.commit(~on & self.judged.lines, release=True)
+            self.release(on)
             self.wait(lambda: not self.moves(), COMMITTED, "released")
         self.forget()
 
     def forget(self) -> None:
         """Drops what the master tells of an unjudged command."""
-        self.master.drain_switched()
-        self.master.verification.drain_missed()
+        self.master.switching.drain()
+        self.master.outputs.drain_missed()
 
     # --- what faults need
 

@@ -149,7 +149,7 @@ class BoardWorld:
 
     def _hear(self, row: Row, told: Told, heard: list[Any], began: float) -> bool:
         master = self.arm.master
-        new = master.drain_faults()
+        new = master.faults.drain()
         if told.warns:
             new += [one for one in master.warnings() if one.code in told.codes and one not in heard]
         for one in new:
@@ -175,19 +175,19 @@ class BoardWorld:
             still = [one for one in master.warnings() if one.code in told.codes]
             require(not still, f"{row.name} is over, and warned is {still}")
         if (told.warns or not told.codes) and not told.lost and told.beats:
-            master.drain_switched()
+            master.switching.drain()
             arm.ready = True
             arm.see("readies")
             arm.settle()
-            require(not master.drain_faults(), f"{row.name} is told later")
+            require(not master.faults.drain(), f"{row.name} is told later")
             return
         for bus in arm.buses.values():
             bus.drop()
         arm.pass_time(0.03)
         if not told.beats:
             arm.lose_master(0.0)  # boards that have lost the master notice it before the boot
-        master.drain_faults()
-        master.drain_switched()
+        master.faults.drain()
+        master.switching.drain()
         if self.random.random() < 0.3:
             self._change_executor(1.0)  # a board may wait less for heartbeats now
         arm.boot(new=self.random.random() < 0.3)

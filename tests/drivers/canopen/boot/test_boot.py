@@ -58,7 +58,7 @@ def test_a_board_that_refuses_for_its_present_state_is_asked_until_the_boot_time
     world.deaf = refuse
     assert codes(world) == told
     assert world.now - begun > min(busy, 5.0)
-    assert all("08000022h" in fault.message for fault in world.master.boot_faults)
+    assert all("08000022h" in fault.message for fault in world.master.booting.faults)
 
 
 def test_a_board_without_inputs_is_right_if_none_is_wired() -> None:

@@ -188,7 +188,7 @@ def test_words_that_cannot_be_read_are_read_as_bytes() -> None:
     world = World([Channel("a", "can0", 5, 0, None)], variant=replace(STANDARD, changes=words))
     world.objects.set_number(0x6200, 1, 1)
     world.objects.set_number(0x6206, 1, 0)
-    assert (world.boot(), world.master.outputs) == ([], 1)
+    assert (world.boot(), world.master.outputs.commanded) == ([], 1)
 
 
 def test_a_foreign_object_that_cannot_be_read_is_not_overwritten() -> None:

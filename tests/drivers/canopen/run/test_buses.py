@@ -41,7 +41,7 @@ def test_a_guarded_board_keeps_its_outputs_while_it_is_booted_again_on_a_slow_bu
     world = World(timing=timing, bitrate=125_000, latency=0.02, **GUARDED).up()
     world.commit(1, 1)
     world.up()
-    assert (world.master.outputs, world.told()) == (0b11, [])
+    assert (world.master.outputs.commanded, world.told()) == (0b11, [])
 
 
 @pytest.mark.parametrize("refused", [True, False], ids=["refused", "without echoes"])
@@ -103,12 +103,12 @@ def test_questions_read_inputs_whose_tpdo_was_lost_one_after_the_other_and_time_
     world.frames()
     world.master.question(0, world.now)
     world.master.question(0, world.now)
-    assert (world.master.questioning(0), world.master.questioning(1)) == (True, False)
-    world.until(lambda: not world.master.questioning(0))
+    assert (world.master.boards[0].questioning, world.master.boards[1].questioning) == (True, False)
+    world.until(lambda: not world.master.boards[0].questioning)
     world.run(0.01)
     assert world.measured() == [1, 0]
     exchange = [(0x605, "40 00 60 01 00 00 00 00"), (0x585, "4f 00 60 01 01 00 00 00")]
     assert [frame for frame in world.frames(sdo=True) if frame in exchange] == exchange * 2
     world.fault("silence", "can0/5")
     world.master.question(0, world.now)
-    assert 0.5 < world.until(lambda: not world.master.questioning(0)) < 2.0
+    assert 0.5 < world.until(lambda: not world.master.boards[0].questioning) < 2.0

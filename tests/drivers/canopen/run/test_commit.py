@@ -67,7 +67,7 @@ def test_sync_waits_for_the_rpdos_of_all_buses() -> None:
     world.master.commit(0b11, world.now)
     world.run(0.02)
     assert (world.frames(), world.frames("can1")) == ([(0x205, "01")], [])
-    assert (world.master.committing, world.master.outputs) == (True, 0)
+    assert (world.master.switching.under_way, world.master.outputs.commanded) == (True, 0)
     world.buses["can1"].restore()
     world.run(0.1)
     assert world.frames()[0] == SYNC
@@ -96,7 +96,7 @@ def test_a_full_bus_gets_no_sync_and_later_the_latest_states_only(room: int) -> 
     world.frames()
     world.buses["can0"].room = room
     world.commit(1, 0)
-    assert "not sent" in world.master.commit_failed
+    assert "not sent" in world.master.switching.failed
     assert SYNC not in world.frames()
     world.buses["can0"].room = None
     world.commit_when_possible(1, 1)
@@ -111,7 +111,7 @@ def test_a_sync_that_fails_on_one_bus_is_sent_with_the_next_commit() -> None:
     world = World(two_buses()).up()
     world.buses["can1"].room = 1
     world.commit(1, 1)
-    assert "SYNC" in world.master.commit_failed
+    assert "SYNC" in world.master.switching.failed
     assert [mask for mask, _ in world.switched] == [0b01]
     world.buses["can1"].room = None
     world.run(0.1)
@@ -120,7 +120,7 @@ def test_a_sync_that_fails_on_one_bus_is_sent_with_the_next_commit() -> None:
         world.frames(bus)
     world.commit(1, 1, then=0.1)
     assert (world.frames("can0"), world.frames("can1")) == ([], [SYNC, (0x185, "01")])
-    assert world.master.outputs == 0b11
+    assert world.master.outputs.commanded == 0b11
 
 
 def test_a_commit_back_to_the_old_states_overwrites_what_is_latched() -> None:
@@ -128,7 +128,7 @@ def test_a_commit_back_to_the_old_states_overwrites_what_is_latched() -> None:
     world.commit(1, 1, then=0.1)
     world.buses["can0"].room = 1
     world.commit(0, 0)
-    assert world.master.commit_failed
+    assert world.master.switching.failed
     world.buses["can0"].room = None
     world.run(0.01)
     world.frames()
@@ -156,8 +156,8 @@ def test_no_sync_follows_a_stall_of_the_loop() -> None:
     world = World().up()
     world.master.commit(1, world.now)
     world.stall(0.2)
-    assert not world.master.committing
-    assert "halted" in world.master.commit_failed or "not sent" in world.master.commit_failed
+    assert not world.master.switching.under_way
+    assert "halted" in world.master.switching.failed or "not sent" in world.master.switching.failed
     world.run(0.1)
     assert SYNC not in world.frames()
     assert world.faults == []
@@ -168,9 +168,9 @@ def test_a_commit_whose_bus_is_lost_names_it() -> None:
     world.buses["can1"].stuck = True
     world.master.commit(bits(1, 1), world.now)
     world.run(0.005)
-    assert world.master.collecting
+    assert world.master.switching.collecting
     world.buses["can1"].go_off()
-    assert (world.master.commit_failed, world.master.committing) == ("can1 was lost", False)
+    assert (world.master.switching.failed, world.master.switching.under_way) == ("can1 was lost", False)
 
 
 # Lines of actuators: pairs of outputs, inverted ones, both end-stops.
@@ -178,16 +178,16 @@ def test_a_commit_whose_bus_is_lost_names_it() -> None:
 
 def test_a_pair_of_outputs_changes_in_one_frame_and_never_both_on() -> None:
     world = World([Channel("a", "can0", 5, 0, 0, output_off=1, input_contracted=1)]).up()
-    assert world.master.ends == 0b10, "it is at its contracted end"
+    assert world.master.inputs.ends == 0b10, "it is at its contracted end"
     world.commit(1, 0, then=0.01)
-    assert world.master.ends == 0b00, "it is in mid-stroke"
+    assert world.master.inputs.ends == 0b00, "it is in mid-stroke"
     world.run(0.1)
-    assert (world.positions(), world.master.ends) == ([1.0], 0b01)
+    assert (world.positions(), world.master.inputs.ends) == ([1.0], 0b01)
     world.frames()
     world.commit(0, 1)
     assert world.frames()[:2] == [(0x205, "02"), SYNC], "one frame, one SYNC"
     world.run(0.1)
-    assert (world.positions(), world.master.ends) == ([0.0], 0b10)
+    assert (world.positions(), world.master.inputs.ends) == ([0.0], 0b10)
     world.commit(0, 0, then=0.1)
     assert (world.positions(), world.coils(), world.boards.both_on()) == ([0.0], [(0, 0)], [0])
     assert world.faults == []
@@ -197,12 +197,12 @@ def test_inverted_lines_are_levels_above_the_driver() -> None:
     inverted = frozenset({"output", "input", "input_contracted"})
     world = World([Channel("a", "can0", 5, 0, 0, input_contracted=1, inverted=inverted)]).up()
     assert world.positions() == [1.0], "it rests extended while its output is 0"
-    assert (world.master.outputs, world.master.ends) == (0b1, 0b01)
+    assert (world.master.outputs.commanded, world.master.inputs.ends) == (0b1, 0b01)
     world.commit(0, then=0.1)
-    assert (world.positions(), world.master.outputs, world.master.ends) == ([0.0], 0b0, 0b10)
+    assert (world.positions(), world.master.outputs.commanded, world.master.inputs.ends) == ([0.0], 0b0, 0b10)
     assert world.outputs() == 1
     world.commit(1, then=0.1)
-    assert (world.positions(), world.master.ends, world.faults) == ([1.0], 0b01, [])
+    assert (world.positions(), world.master.inputs.ends, world.faults) == ([1.0], 0b01, [])
 
 
 @pytest.mark.parametrize(
@@ -215,7 +215,7 @@ def test_a_broken_wire_reads_both_ends_or_none_and_half_way_neither(fault: tuple
     world.fault(*fault)
     for state in (1, 0):
         world.commit(state, then=1.0)
-        assert world.master.ends == ends
+        assert world.master.inputs.ends == ends
 
 
 # Which frames go before a SYNC, and which lines are still to be read.

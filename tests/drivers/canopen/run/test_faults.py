@@ -146,7 +146,7 @@ def test_errors_are_read_after_a_boot_while_the_arm_is_ready_and_in_fault() -> N
     world.run(0.05)
     world.master.boot(world.now)
     assert read_errors(world) == Errors(0, ())
-    assert (world.master.booting, world.master.boot_faults) == (False, [])
+    assert (world.master.booting.under_way, world.master.booting.faults) == (False, [])
     world.fault("error", "can0/5", 5000)
     world.run(0.1)
     assert read_errors(world) == Errors(0x01, (0x5000,))

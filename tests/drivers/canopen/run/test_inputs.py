@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hyperbit.drivers.canopen.boards.board import Board, StateImage
+from hyperbit.drivers.canopen.boards.board import Board, InputLines
 from hyperbit.drivers.canopen.layout import lay_out
 from hyperbit.drivers.canopen.pdo import Pdo
 from hyperbit.drivers.canopen.wire.cia301 import TPDO1
@@ -37,9 +37,9 @@ def open_without_tpdo(world: World, node: int) -> None:
 def test_an_interlock_whose_one_tpdo_is_lost_is_seen_open_within_two_seconds(nodes: int, bitrate: int) -> None:
     gate = Interlock("gate", "can0", nodes, GATE_BIT)
     world = closed(World(each_node(nodes), bitrate=bitrate, interlocks=(gate,)), nodes)
-    assert world.master.ends & 1 << nodes
+    assert world.master.inputs.ends & 1 << nodes
     open_without_tpdo(world, nodes)
-    assert world.until(lambda: not world.master.ends & 1 << nodes) < 2.0
+    assert world.until(lambda: not world.master.inputs.ends & 1 << nodes) < 2.0
     assert world.faults == []
 
 
@@ -63,7 +63,7 @@ def test_the_buses_work_on_when_echoes_are_lost_in_an_overrun() -> None:
     world.master.receive_event(BusOverrun("can0"), world.now)
     world.run(1.0)
     world.commit(1)
-    assert (world.faults, world.master.outputs) == ([], 1)
+    assert (world.faults, world.master.outputs.commanded) == ([], 1)
 
 
 def test_an_answer_is_newer_than_what_came_before_and_older_than_a_tpdo_after_its_question() -> None:
@@ -72,19 +72,19 @@ def test_an_answer_is_newer_than_what_came_before_and_older_than_a_tpdo_after_it
         (BusWiring("can0", "virtual", "x"),),
         (Channel("a", "can0", 5, 0, 0), Channel("b", "can0", 5, 1, 8)),
     )
-    image, layout = StateImage(), lay_out(Wiring(buses, channels)).boards[0]
-    board = Board(0, layout, Link(buses[0], lambda *_: None, 1.0), image, lambda _: None)
+    inputs, layout = InputLines(), lay_out(Wiring(buses, channels)).boards[0]
+    board = Board(0, layout, Link(buses[0], lambda *_: None, 1.0), inputs, lambda _: None)
     board.set_tpdos([Pdo(0x1800, 0x185, (0x6000_0108,)), Pdo(0x1801, 0x285, (0x6000_0208,))])
     board.receive_frame(0x185, b"\x01", 0.0)
     board.begin_input_read()
     board.receive_frame(0x285, b"\x01", 0.0)
     board.set_input(1, 0)
     board.set_input(2, 0)
-    assert image.ends == 0b10
+    assert inputs.levels == 0b10
     board.begin_input_read()
     board.receive_frame(0x185, b"\x00", 0.0)
     board.set_input(2, 0)
-    assert image.ends == 0
+    assert inputs.levels == 0
 
 
 # Interlocks on bits of other objects.
@@ -99,7 +99,7 @@ def island(variant: str = "valve-supply", inverted: bool = False, it: WatchedObj
 
 def told(world: World, closed: bool) -> float:
     """Waits until the master has the interlock open or closed; returns the time [s]."""
-    return world.until(lambda: bool(world.master.ends & GATE) is closed)
+    return world.until(lambda: bool(world.master.inputs.ends & GATE) is closed)
 
 
 @pytest.mark.parametrize("inverted", [False, True])
@@ -108,7 +108,7 @@ def test_a_supply_that_is_lost_is_seen_within_half_a_second_and_its_return_as_we
     variant: str, inverted: bool
 ) -> None:
     world = island(variant, inverted).up()
-    assert world.master.ends & GATE
+    assert world.master.inputs.ends & GATE
     world.fault("open", "supply")
     assert told(world, closed=False) < 0.5
     world.fault("close", "supply")
@@ -163,11 +163,11 @@ def test_late_answers_do_not_open_it_and_an_old_one_does_not_close_it() -> None:
     world = island().up()
     world.board().variant = VARIANTS["slow-answers"]
     world.run(5.0)
-    assert world.master.ends & GATE
+    assert world.master.inputs.ends & GATE
     world.fault("open", "supply")
     told(world, closed=False)
     world.run(5.0)
-    assert not world.master.ends & GATE
+    assert not world.master.inputs.ends & GATE
 
 
 def test_an_emergency_brings_the_error_register_before_its_poll() -> None:

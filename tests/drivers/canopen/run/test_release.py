@@ -49,7 +49,7 @@ def test_outputs_go_off_on_boards_that_are_not_heard_but_hear_each_at_its_time(n
         world.master.commit(0, world.now)
     for left, coils in ((0b1000, [(0, 0), (0, 1)]), (0, OFF)):
         world.release(left, ticks=5)
-        assert (world.coils(), world.master.outputs) == (coils, left)
+        assert (world.coils(), world.master.outputs.commanded) == (coils, left)
 
 
 def test_a_release_after_a_lost_bus_switches_nothing_that_was_latched_before() -> None:
@@ -75,18 +75,18 @@ def test_an_output_whose_sync_is_in_doubt_goes_off_and_those_that_stay_keep_what
 ) -> None:
     world = World([*PULSED, PLAIN[0]]).up()
     world.master.commit(0b00101, world.now)
-    world.until(lambda: not world.master.collecting)  # SYNC was handed out
+    world.until(lambda: not world.master.switching.collecting)  # SYNC was handed out
     if not sent:
         world.buses["can0"].drop()
     world.run(0.00001)
     world.buses["can0"].go_off()
     world.run(0.02)
-    assert (world.master.outputs, world.master.doubtful) == (0, 0b00101)
+    assert (world.master.outputs.commanded, world.master.outputs.doubtful) == (0, 0b00101)
     world.buses["can0"].restore()
     for _ in range(40):
-        world.release((world.master.outputs | world.master.doubtful) & ~1, ticks=1)
+        world.release((world.master.outputs.commanded | world.master.outputs.doubtful) & ~1, ticks=1)
     assert world.coils() == [*OFF, (1, 0)]
-    assert world.master.doubtful & 0b1 == 0
+    assert world.master.outputs.doubtful & 0b1 == 0
 
 
 @pytest.mark.parametrize("shared", [False, True])
@@ -95,15 +95,15 @@ def test_a_release_during_the_boot_of_another_board_sends_no_frame_and_keeps_all
     world = driven(0b01101, plain=2, variants={"can0/2": slow}, shared_rpdo=shared)
     world.new_master()
     world.master.boot(world.now)
-    world.until(lambda: world.master.known & 1)
-    assert world.master.booting
+    world.until(lambda: world.master.inputs.known & 1)
+    assert world.master.booting.under_way
     world.frames()
     world.release(0b00100, ticks=1)
     world.run(0.1)
     assert (world.frames(), world.coils()) == ([], [*OFF, (1, 0), (1, 0)])
     assert [lines for lines, _ in world.switched if lines == 1] == [1]
-    world.until(lambda: not world.master.booting)
-    assert (world.master.boot_faults, world.master.outputs) == ([], 0b01100)
+    world.until(lambda: not world.master.booting.under_way)
+    assert (world.master.booting.faults, world.master.outputs.commanded) == ([], 0b01100)
 
 
 def test_a_release_switches_nothing_on_at_a_board_that_has_restarted() -> None:
@@ -113,14 +113,14 @@ def test_a_release_switches_nothing_on_at_a_board_that_has_restarted() -> None:
     assert world.told() == ["board-rebooted"]
     world.frames()
     world.release(0b00100, ticks=5)
-    assert (world.frames(), world.master.committing) == ([], False)
+    assert (world.frames(), world.master.switching.under_way) == ([], False)
 
 
 def test_a_release_whose_frames_the_controller_has_dropped_is_sent_again_at_its_restart() -> None:
     world = with_lost_bus()
     world.buses["can0"].restore()
     world.buses["can0"].stuck = True  # nothing is echoed
-    world.master.commit(0, world.now, release=True)
+    world.master.release(-1, world.now)
     world.buses["can0"].restart()
     world.buses["can0"].stuck = False
     world.frames()
@@ -137,7 +137,7 @@ def test_frames_that_are_neither_sent_nor_lost_hold_nothing_up_for_ever() -> Non
     bus.at_next_sync(lambda: setattr(bus, "stuck", True))
     world.release()
     world.run(1.0)
-    assert not world.master.leaving
+    assert not world.master.switching.leaving
     bus.stuck = False
     bus.drop()
     world.release()
@@ -159,7 +159,7 @@ def test_a_stage_is_given_up_for_a_release_unless_it_switches_the_output_off(
     world.buses["can0"].stuck = stuck
     world.master.commit(stage, world.now)
     world.run(after)
-    world.master.commit(0, world.now, release=True)
-    assert world.master.commit_failed == failed
+    world.master.release(-1, world.now)
+    assert world.master.switching.failed == failed
     world.run(0.005)
     assert stuck or world.coils() == [(0, 0), (1, 0)]

@@ -28,14 +28,14 @@ def deaf_to_rpdos(world: World, count: int = 1000, only_off: bool = False) -> Wo
 
 
 def read(world: World) -> None:
-    world.until(lambda: not world.master.verification.unread)
+    world.until(lambda: not world.master.outputs.unproven)
 
 
 def test_boards_without_end_stops_are_read_back_at_once_after_each_switch() -> None:
     world = World(BLIND).up()
     for states in ((1, 1), (0, 1)):
         world.commit(*states)
-        assert world.master.verification.unread == world.switched[-1][0]
+        assert world.master.outputs.unproven == world.switched[-1][0]
         read(world)
         assert world.measured() == list(states)
     frames = world.frames(sdo=True)
@@ -43,7 +43,7 @@ def test_boards_without_end_stops_are_read_back_at_once_after_each_switch() -> N
     assert {(0x605, READ_OUTPUTS), (0x609, READ_OUTPUTS)} <= set(frames)
     world = World(BLIND, nodes=UNVERIFIED).up()
     world.commit(1, 1)
-    assert world.master.verification.unread == 0b10, "not of a board that is not verified"
+    assert world.master.outputs.unproven == 0b10, "not of a board that is not verified"
 
 
 def test_a_board_that_does_not_follow_stays_unread_until_it_is_a_fault() -> None:
@@ -51,7 +51,7 @@ def test_a_board_that_does_not_follow_stays_unread_until_it_is_a_fault() -> None
     world.objects.set_number(0x1005, 0, 0x85)  # just after the boot
     world.commit(1, 1)
     while not world.faults:
-        assert world.master.verification.unread & 0b01
+        assert world.master.outputs.unproven & 0b01
         world.run(0.001)
     [fault] = world.faults
     text = "can0/5 has 00h in 6200h sub 1 (outputs); 01h was switched: it does not follow RPDO and SYNC"
@@ -131,7 +131,7 @@ def pulsed(length: float = 0.05, latency: float = 0.001, **options: object) -> W
 def pulse(world: World, length: float, then: float = 0.0) -> None:
     world.master.commit(1, world.now)
     world.run(length)
-    world.master.commit(0, world.now, release=True)
+    world.master.release(-1, world.now)
     world.run(then)
 
 
@@ -140,7 +140,7 @@ def test_a_pulse_that_a_board_does_not_follow_is_noticed_inside_the_pulse(length
     world = pulsed(length)
     world.objects.set_number(0x1005, 0, 0x85)
     pulse(world, length, then=1.0)
-    assert (world.told(), world.master.verification.drain_missed()) == (["not-switched"], 0b01)
+    assert (world.told(), world.master.outputs.drain_missed()) == (["not-switched"], 0b01)
 
 
 @pytest.mark.parametrize("late", [False, True])
@@ -152,9 +152,9 @@ def test_a_pulse_that_was_read_back_is_not_missed_also_if_the_board_follows_late
         world.until(lambda: (0x585, "4f 00 62 01 00 00 00 00") in world.frames(sdo=True))
         world.objects.set_number(0x6200, 1, 1)
     read(world)
-    world.master.commit(0, world.now, release=True)
-    world.until(lambda: not world.master.released)
-    assert (world.told(), world.master.verification.drain_missed()) == ([], 0)
+    world.master.release(-1, world.now)
+    world.until(lambda: not world.master.outputs.released)
+    assert (world.told(), world.master.outputs.drain_missed()) == ([], 0)
 
 
 def test_a_pulse_is_read_back_while_errors_are_read() -> None:
@@ -167,9 +167,9 @@ def test_a_pulse_is_read_back_while_errors_are_read() -> None:
         world.run(0.001)
         for outputs, then in ((states, 0.05), (0, 0.5)):
             world.master.commit(outputs, world.now)
-            world.until(lambda: not world.master.committing)
+            world.until(lambda: not world.master.switching.under_way)
             world.run(then)
-        assert world.master.verification.drain_missed() == 0
+        assert world.master.outputs.drain_missed() == 0
         assert [len(found.history) for _, found in world.master.errors.drain()] == [8]
 
 
@@ -177,8 +177,8 @@ def test_a_coil_that_another_program_has_switched_on_leaves_the_state_unknown() 
     world = pulsed()
     world.run(1.0)
     world.objects.set_number(0x6200, 1, 0x02)
-    world.until(lambda: world.master.doubtful)
-    assert world.master.verification.drain_missed() == 0b10
+    world.until(lambda: world.master.outputs.doubtful)
+    assert world.master.outputs.drain_missed() == 0b10
 
 
 def test_a_board_that_is_unplugged_in_its_third_short_pulse_is_lost_and_nobody_advises_longer_pulses() -> None:
@@ -187,7 +187,7 @@ def test_a_board_that_is_unplugged_in_its_third_short_pulse_is_lost_and_nobody_a
     for k in range(3):
         world.board().silent = k == 2
         pulse(world, 0.02, then=0.01)
-        assert world.master.verification.drain_missed() == 0b01
+        assert world.master.outputs.drain_missed() == 0b01
         world.run(1.0)
     assert world.told() == ["board-lost"]
 
@@ -196,7 +196,7 @@ def test_pulses_of_a_board_that_is_not_verified_are_not_missed() -> None:
     world = pulsed(0.02, latency=0.03, nodes=UNVERIFIED)
     for _ in range(4):
         pulse(world, 0.02, then=1.0)
-        assert world.master.verification.drain_missed() == 0
+        assert world.master.outputs.drain_missed() == 0
     assert world.faults == []
 
 
@@ -204,11 +204,11 @@ def test_pulses_of_a_board_that_is_not_verified_are_not_missed() -> None:
 def test_the_end_of_a_pulse_that_a_board_has_lost_is_sent_until_it_is_read_off(times: int) -> None:
     world = deaf_to_rpdos(pulsed(), times, only_off=True)
     pulse(world, 0.05)
-    assert world.master.released == 0
+    assert world.master.outputs.released == 0
     world.run(0.01)
     assert world.coils() == [(1, 0)]
     world.release(ticks=60)
-    assert (world.coils(), world.master.released, world.master.doubtful) == ([(0, 0)], 0, 0)
+    assert (world.coils(), world.master.outputs.released, world.master.outputs.doubtful) == ([(0, 0)], 0, 0)
     assert world.faults == []
 
 
@@ -218,7 +218,7 @@ def test_the_end_of_a_pulse_is_sent_until_it_is_read_off_also_to_a_board_that_is
     world.lose(0x705, 0x585)  # it hears, and is not heard
     world.release(ticks=100)
     assert (world.told()[0], world.coils()) == ("board-lost", [(0, 0)])
-    assert world.master.released | world.master.doubtful == 0b01, "nobody has told so"
+    assert world.master.outputs.released | world.master.outputs.doubtful == 0b01, "nobody has told so"
     world.lose()
     world.release(ticks=50)
-    assert world.master.released | world.master.doubtful == 0
+    assert world.master.outputs.released | world.master.outputs.doubtful == 0
