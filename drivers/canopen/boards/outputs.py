@@ -63,7 +63,7 @@ class OutputLines:
         self.blind = 0  # mask of the lines of which no believed end-stop tells
         self.commanded = 0  # levels after the last SYNC that was sent, or as a boot has read them
         self.unread = 0  # mask of the lines that have switched, and were not read back since
-        # May be on: the bus was lost while a SYNC was being sent, or the end of a pulse was not read back.
+        # May be on: the bus was lost while their frames were being sent, or the end of a pulse was not read back.
         self.doubtful = 0
         self.missed = 0  # mask of the lines whose pulse was not read back while on, until `drain_missed`
         self.unanswered = 0  # the same until their board answers
@@ -196,11 +196,9 @@ class OutputLines:
         """Records that lines were written off by SDO, and read back; returns the mask of those that were on."""
         switched = self.commanded & lines
         self._find_missed(lines)
-        self.commanded, self.unread, self.doubtful = (
-            self.commanded & ~lines,
-            self.unread & ~lines,
-            self.doubtful & ~lines,
-        )
+        self.commanded &= ~lines
+        self.unread &= ~lines
+        self.doubtful &= ~lines
         for key, frame in self.frames.items():
             for bit in frame.bits if frame.lines & lines else ():
                 if bit.line & lines:
@@ -209,12 +207,9 @@ class OutputLines:
                 self._latched[key] = None
         return switched
 
-    def bus_lost(self, bus: str, states: int | None) -> None:
-        """Records the loss of a bus; `states`: levels to which a SYNC under way may have switched it."""
-        lines = self.lines_of(bus)
-        self.doubtful |= self.released & lines
-        if states is not None:
-            self.doubtful |= (states ^ self.commanded) & lines
+    def bus_lost(self, bus: str, leaving: int) -> None:
+        """Records the loss of a bus; frames under way may have switched the lines `leaving`."""
+        self.doubtful |= leaving | self.released & self.lines_of(bus)
         self._latched |= {key: None for key in self.frames if key[0] == bus}
 
     def lines_of(self, bus: str) -> int:

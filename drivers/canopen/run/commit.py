@@ -82,11 +82,11 @@ class BusCommit:
             self.waiting, self.collecting, self.failed = {}, False, why
 
     def lost(self) -> None:
-        """Records the loss of the bus. If the SYNC was handed out, the outputs stay unknown until the boot."""
-        self._outputs.bus_lost(self.bus, self.states if self._syncing else None)
+        """Records the loss of the bus. Outputs that frames under way switch stay unknown until the boot."""
         if self._syncing:
             self.failed = f"{self.bus} was lost while its SYNC was being sent"
         self.give_up(f"{self.bus} was lost")
+        self._outputs.bus_lost(self.bus, self.leaving)
         self._syncing, self._leaving = False, {}
 
     def sent(self, frame: Frame, clock: float) -> None:

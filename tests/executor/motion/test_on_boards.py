@@ -183,3 +183,20 @@ def test_a_way_whose_frames_tell_no_time_is_not_measured_and_one_called_back_is_
     assert times.drain_arrived(Ends(0, 0), 1.15) == []
     assert times.drain_arrived(Ends(0, 0b1), 1.2) == [Travel(0, 0, pytest.approx(0.1))]
     assert not any(times.travelling)
+
+
+@pytest.mark.parametrize("variant", ["standard", "no-sync"])
+def test_a_pulse_that_a_lost_bus_may_have_begun_ends_as_soon_as_the_bus_is_back(variant: str) -> None:
+    """The board keeps the heartbeats' time-out, and the boot comes a second later."""
+    world = ready_world(variants=dict.fromkeys(("can0/1", "can0/2"), VARIANTS[variant]), channel=BISTABLE)
+    bus = world.buses["can0"]
+    if variant == "no-sync":
+        bus.echoes = False
+    else:
+        bus.at_next_sync(lambda: setattr(bus, "echoes", False))
+    world.run(1)
+    world.agenda.until(lambda: world.boards.coils()[0] == (1, 0))
+    bus.go_off()
+    bus.restore()
+    world.go(0.05)
+    assert (world.mode, world.boards.coils()[0]) == ("fault", (0, 0))

@@ -9,7 +9,7 @@ import pytest
 from hyperbit.drivers.canopen.faults import Busy
 from hyperbit.drivers.canopen.wire.cia301 import split
 from hyperbit.drivers.canopen.wiring import Channel
-from hyperbit.drivers.simulation.variants import STANDARD
+from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS
 from tests.drivers.rig import World
 
 PULSED = [Channel(f"{node}", "can0", node, 0, None, output_off=1, pulse=0.05) for node in (1, 2)]
@@ -87,6 +87,18 @@ def test_an_output_whose_sync_is_in_doubt_goes_off_and_those_that_stay_keep_what
         world.release((world.master.outputs.commanded | world.master.outputs.doubtful) & ~1, ticks=1)
     assert world.coils() == [*OFF, (1, 0)]
     assert world.master.outputs.doubtful & 0b1 == 0
+
+
+def test_an_output_whose_frame_without_sync_is_in_doubt_goes_off() -> None:
+    world = World(PULSED, variants={"can0/1": VARIANTS["no-sync"]}).up()
+    world.master.commit(0b0001, world.now)
+    world.buses["can0"].echoes = False
+    world.run(0.005)
+    world.buses["can0"].go_off()
+    assert (world.coils()[0], world.master.outputs.commanded, world.master.outputs.doubtful) == ((1, 0), 0, 0b0001)
+    world.buses["can0"].restore()
+    world.release(world.master.outputs.commanded, ticks=40)
+    assert (world.coils(), world.master.outputs.doubtful) == (OFF, 0)
 
 
 @pytest.mark.parametrize("shared", [False, True])
