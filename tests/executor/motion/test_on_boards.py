@@ -116,8 +116,8 @@ def test_errors_that_came_and_went_during_a_stall_are_no_fault_after_a_reset(cod
 def test_errors_of_a_board_are_read_in_motion_and_in_fault_and_add_none() -> None:
     world = ready_world()
     diagnostics = world.last(Diagnostics)
-    assert [bus["name"] for bus in diagnostics.buses] == ["can0"]
-    assert {board["state"] for board in diagnostics.boards} == {"operational"}
+    assert [bus.name for bus in diagnostics.buses] == ["can0"]
+    assert {board.state for board in diagnostics.boards} == {"operational"}
     world.run(A, B, A)
     world.send(ReadErrors(7, "can0/1"))
     world.go(1.0)
