@@ -5,12 +5,14 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from msgspec import to_builtins
+from msgspec import convert, to_builtins
 from msgspec.structs import replace
 
 from hyperbit.controller.arm.arm import Arm, load
 from hyperbit.controller.arm.description import description, drawing, file
 from hyperbit.controller.manipulator.notation import format_configuration, pose
+from hyperbit.controller.messages.arm import Description
+from hyperbit.controller.messages.state import State
 from tests.keys import DEPLOY
 
 Message = dict[str, Any]
@@ -104,6 +106,16 @@ def state(which: str | Arm = "planar16", configuration: Sequence[int] = (), /, *
     }
 
 
+def read_state(*which: Any, **fields: Any) -> State:
+    """Returns a `state` as its readers have it."""
+    return convert(state(*which, **fields), State)
+
+
+def read_arm(*which: Any, **fields: Any) -> Description:
+    """Returns the answer to `arm` as its readers have it."""
+    return convert(described(*which, **fields), Description)
+
+
 @functools.cache
 def published() -> dict[str, Message]:
     """Returns a message of each key that a daemon or a replay tells."""
@@ -112,7 +124,7 @@ def published() -> dict[str, Message]:
         **{"progress": {"waypoints": 5, "reached": 2, "begins": 95.0, "ends": 103.2}, "bias": [0.0, 0.001]},
         **{"degraded": [{"actuator": "5.left", "state": 0}], "poses": 1},
     }
-    running = {"goal": "a-1", "waypoints": [[0.5, 2.8]]}
+    running = {"goal": "a-1", "waypoints": [{"t": 0.0, "position": [0.5, 2.8], "orientation": None}]}
     return {
         **{"state": state(**busy), "diagnostics": DIAGNOSTICS, "result": RESULT, "feedback": FEEDBACK},
         "arm": described(sent_obstacles=OBSTACLES["regions"], poses=[POSE], running=running),

@@ -16,7 +16,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from hyperbit.controller.messages.arm import Description
-from hyperbit.controller.messages.goals import Answer, Ending, Feedback, Note, Result, internal_error
+from hyperbit.controller.messages.goals import Answer, Feedback, GoalEnd, Note, Result, internal_error
 from hyperbit.controller.messages.state import Diagnostics, State
 from hyperbit.controller.network.session import LEASE
 from hyperbit.controller.planning.core.events import Identity, Published, PublishResult
@@ -88,7 +88,7 @@ class Outbox:
     def publish(
         self,
         key: Literal["state", "diagnostics", "feedback", "result", "@request"],
-        message: State | Diagnostics | Feedback | Ending | Note,
+        message: State | Diagnostics | Feedback | GoalEnd | Note,
     ) -> None:
         """Publishes on a key. A `state` or `diagnostics` replaces the one that waits; a `result` is a put's refusal."""
         if key in LATEST:

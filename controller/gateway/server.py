@@ -21,7 +21,7 @@ from hyperbit.controller.gateway.arrivals import Clocks, FloodBrake, Rate, Repea
 from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses, decode_poses
 from hyperbit.controller.messages.arm import Daemon, Description
-from hyperbit.controller.messages.goals import Answer, Ending, LedgerAnswer, Note, internal_error, refused
+from hyperbit.controller.messages.goals import Answer, GoalEnd, LedgerAnswer, Note, internal_error, refused
 from hyperbit.controller.motion.decoding.goal import GoalMessage, Undecodable
 from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.planning.core import events
@@ -120,7 +120,7 @@ class Server:
             return
         if self._refusals.admits():
             fields = {name: value for name, value in structs.asdict(answer).items() if name != "homing"}
-            self._outbox.publish("result", Ending(status="refused", **{"id": None, **fields}))
+            self._outbox.publish("result", GoalEnd(status="refused", **{"id": None, **fields}))
         elif self._logged_refusals.admits():
             log.warning("more than %d puts in a second are refused: %s", MOST_REFUSALS, answer.message)
 
@@ -237,7 +237,7 @@ class Way:
         if row is None:
             raise Refusal(Reason.UNKNOWN_GOAL, goal=goal)
         ended = row["ended"] is not None
-        result = Ending(id=goal, **{name: row[name] for name in LEDGER_FIELDS}) if ended else None
+        result = GoalEnd(id=goal, **{name: row[name] for name in LEDGER_FIELDS}) if ended else None
         message = "the goal has ended" if ended else "the goal has no result yet"
         self._answer(received, LedgerAnswer(accepted=True, message=message, result=result))
 

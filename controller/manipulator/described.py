@@ -3,70 +3,80 @@
 The description has the unit of the arm's file. ROS 2 and Foxglove want metres.
 """
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from hyperbit.controller.armfile.units import metres_of
+from hyperbit.controller.manipulator.frames import Frame
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.manipulator.module import Module
+from hyperbit.controller.messages.arm import Description, ModuleKind
+from hyperbit.controller.messages.parts import Region
 
 
-def described(answer: Mapping[str, Any]) -> Manipulator:
-    """Returns the chain of an arm from the payload of the answer to `arm`, with its `drawing`.
+def described(arm: Description) -> Manipulator:
+    """Returns the chain of an arm from its description, with its `drawing`.
 
-    Raises LookupError, TypeError or ValueError if the answer has another form, as that of another version.
+    Raises ValueError or LookupError if a part is missing, or the parts are not of one arm.
     """
-    kinds, planar = answer["drawing"]["kinds"], answer["dimension"] == 2
-    names: list[list[str]] = [[] for _ in answer["frames"]]
-    for label in answer["actuators"]:
+    names: list[list[str]] = [[] for _ in arm.frames]
+    for label in arm.actuators:
         module, _, name = label.partition(".")
         names[int(module) - 1].append(name)
-    modules = [
-        Module(
-            np.array(frames, dtype=float),
-            np.array(kinds[kind]["bits"], dtype=np.uint8),
-            tuple(own),
-            np.array(kinds[kind]["body"], dtype=float),
-            planar,
-        )
-        for frames, kind, own in zip(answer["frames"], answer["drawing"]["modules"], names, strict=True)
-    ]
-    return Manipulator(modules, np.array(answer["base"], dtype=float))
+    planar, modules = arm.dimension == 2, list[Module]()
+    for frames, kind, own in zip(arm.frames, structure_of(arm), names, strict=True):
+        bits, body = np.array(kind.bits, dtype=np.uint8), np.array(kind.body, dtype=float)
+        modules.append(Module(np.array(frames, dtype=float), bits, tuple(own), body, planar))
+    return Manipulator(modules, base_of(arm))
 
 
-def in_metres(answer: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Returns the payload of the answer to `arm` with chain, drawing and obstacles in metres.
+def structure_of(arm: Description) -> list[ModuleKind]:
+    """Returns the kind of each module (B,). Raises ValueError or LookupError if the description has none."""
+    if not arm.drawing:
+        raise ValueError("the description of the arm has no drawing")
+    return [arm.drawing.kinds[kind] for kind in arm.drawing.modules]
 
-    Raises LookupError, TypeError or ValueError if the answer has another form, or its unit is unknown.
+
+def base_of(arm: Description) -> Frame:
+    """Returns the frame of the base (4, 4). Raises ValueError if the description has none."""
+    if arm.base is None:
+        raise ValueError("the description of the arm has no base")
+    return np.array(arm.base, dtype=float)
+
+
+def in_metres(arm: Description) -> Description:
+    """Returns a description with chain, drawing and obstacles in metres.
+
+    Raises LookupError, TypeError or ValueError if its unit is unknown, or an obstacle has another form.
     """
-    metres = metres_of(answer.get("unit"))
+    metres = metres_of(arm.unit)
     if metres == 1.0:
-        return answer
+        return arm
 
     def placed(frames: Any) -> Any:
         array = np.array(frames, dtype=float)
         array[..., :3, 3] *= metres
         return array.tolist()
 
-    drawing = answer["drawing"]
-    kinds = [{**kind, "body": (np.array(kind["body"], dtype=float) * metres).tolist()} for kind in drawing["kinds"]]
-    regions = {
-        key: [scaled(it, metres) for it in answer[key]] for key in ("obstacles", "sent_obstacles") if key in answer
-    }
-    return {
-        **answer,
-        **regions,
-        "unit": "m",
-        "length": answer["length"] * metres,
-        "base": placed(answer["base"]),
-        "frames": [placed(frames) for frames in answer["frames"]],
-        "drawing": {**drawing, "kinds": kinds},
-    }
+    drawing = arm.drawing
+    if drawing:
+        kinds = [ModuleKind(kind.bits, (np.array(kind.body, dtype=float) * metres).tolist()) for kind in drawing.kinds]
+        drawing = replace(drawing, kinds=kinds)
+    return replace(
+        arm,
+        unit="m",
+        length=arm.length * metres,
+        base=placed(base_of(arm)),
+        frames=[placed(frames) for frames in arm.frames],
+        drawing=drawing,
+        obstacles=[scaled(it, metres) for it in arm.obstacles],
+        sent_obstacles=[scaled(it, metres) for it in arm.sent_obstacles],
+    )
 
 
-def scaled(region: Mapping[str, Any], factor: float) -> dict[str, Any]:
+def scaled(region: Region, factor: float) -> Region:
     """Returns an obstacle with its lengths times a factor; directions, angles and names stay."""
     lengths = ("centre", "size", "point", "radius")
     return {

@@ -54,7 +54,7 @@ class Feedback(Measured, frozen=True):
     bias: list[Number] | UnsetType = UNSET
 
 
-class Ending(Struct, frozen=True):
+class GoalEnd(Struct, frozen=True):
     """How a goal has ended: an entry of the ledger; or the refusal of a put, which has no answer."""
 
     status: str
@@ -74,7 +74,7 @@ class Travel(Struct, frozen=True):
     seconds: Number
 
 
-class Result(Ending, frozen=True):
+class Result(GoalEnd, frozen=True):
     """The end of a goal or jog. The plan's fields are of a goal, `travels` of a jog."""
 
     switches: Count = 0
@@ -92,40 +92,40 @@ class Result(Ending, frozen=True):
     repeated: bool | UnsetType = UNSET  # an earlier process may have published it
 
 
-class PlanPoint(Measured, frozen=True, kw_only=True):
+class PlanPoint(Measured, frozen=True):
     """A point of a plan: where the arm would be, and the switches on the way to it."""
 
-    t: Number
-    goal: Position
-    between: bool  # on a line between waypoints
-    switches: Count
+    t: Number = 0.0
+    goal: Position | None = None
+    between: bool = False  # on a line between waypoints
+    switches: Count = 0
     seconds: Number | UnsetType = UNSET  # of the search
-    effort: Count | UnsetType = UNSET  # of the search, in place of its time
-    cost: Number
-    optimal: bool | None
-    lower_bound: Number | None
-    certificate: str
-    stages: list[list[str]]  # labels of the actuators that switch together
-    needed: Number  # least time of the way to the point [s]
-    excursion: Number | None
+    effort: Number | UnsetType = UNSET  # of the search, in place of its time
+    cost: Number = 0.0
+    optimal: bool | None = None
+    lower_bound: Number | None = None
+    certificate: str = "unknown"
+    stages: list[list[str]] = []  # labels of the actuators that switch together
+    needed: Number = 0.0  # least time of the way to the point [s]
+    excursion: Number | None = None
 
 
-class Plan(Answer, frozen=True, kw_only=True):
+class Plan(Answer, frozen=True):
     """The answer to `plan` if there is one."""
 
-    waypoints: list[PlanPoint]
-    switches: Count
-    cost: Number
-    optimal: bool | None
-    lower_bound: Number | None
-    certificate: str
+    waypoints: list[PlanPoint] = []
+    switches: Count = 0
+    cost: Number = 0.0
+    optimal: bool | None = None
+    lower_bound: Number | None = None
+    certificate: str = "unknown"
     bias: list[Number] | UnsetType = UNSET
 
 
-class LedgerAnswer(Answer, frozen=True, kw_only=True):
+class LedgerAnswer(Answer, frozen=True):
     """The answer to `result` for a goal that the ledger has."""
 
-    result: Ending | None  # None: the goal has not ended
+    result: GoalEnd | None = None  # None: the goal has not ended
 
 
 class Note(Struct, frozen=True):

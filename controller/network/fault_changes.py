@@ -1,7 +1,8 @@
 """Which faults of an arm came and went from one of its states to the next."""
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from hyperbit.controller.messages.state import State
 
 Key = tuple[str, str]  # code and source
 
@@ -19,13 +20,13 @@ class ActiveFaults:
     def __init__(self) -> None:
         self._last: dict[Key, str] = {}
 
-    def take(self, state: Mapping[str, Any]) -> Changes:
-        """Takes a payload of `state`; returns what has changed since the one before."""
+    def take(self, state: State) -> Changes:
+        """Takes a `state`; returns what has changed since the one before."""
         last, self._last = self._last, active(state)
         came = {key: message for key, message in self._last.items() if key not in last}
         return Changes(came, sorted(last.keys() - self._last.keys()))
 
 
-def active(state: Mapping[str, Any]) -> dict[Key, str]:
-    """Returns the sentence of each fault and warning in a payload of `state`."""
-    return {(str(it["code"]), str(it["source"])): str(it["message"]) for it in state.get("faults") or ()}
+def active(state: State) -> dict[Key, str]:
+    """Returns the sentence of each fault and warning."""
+    return {(fault.code, fault.source): fault.message for fault in state.faults}

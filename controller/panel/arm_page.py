@@ -144,7 +144,8 @@ class ArmPage:
             case FaultRequest(fault=fault):
                 return await self._command(request, "fault", {"fault": fault})
             case AnswerRequest(question=question, answer=key):
-                stamp = (self._view.state or {}).get("stamp", 0.0)  # its sender tells by it how old the answer is
+                seen = self._view.state
+                stamp = 0.0 if seen is None else seen.stamp  # its sender tells by it how old the answer is
                 return await self._command(request, "answer", {"question": question, "answer": key, "stamp": stamp})
             case PoseRequest(save=save, goal=goal, remove=remove):
                 change = {"save": save, "goal": goal, "remove": remove}

@@ -5,16 +5,18 @@ state, so that its entity changes only with its own actuators. All lengths are m
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.armfile.units import metres_of
-from hyperbit.controller.manipulator.described import in_metres
+from hyperbit.controller.manipulator.described import base_of, in_metres, structure_of
+from hyperbit.controller.messages.arm import Description
+from hyperbit.controller.messages.parts import Pose
+from hyperbit.controller.messages.state import ActuatorState, State
 
-Message = Mapping[str, Any]
 Colour = tuple[float, float, float, float]
 
 # Colours of Okabe and Ito, which colour-blind readers can distinguish.
@@ -30,30 +32,41 @@ FAR = 4.0  # of the arm's length: sides of a half-plane or half-space
 PARTS = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
 
 
-class FoxgloveScene:
-    """Draws an arm in any state, from the payload of `arm` with `drawing`.
+class Shown(NamedTuple):
+    """The fields of `state` on which the drawing depends."""
 
-    Raises LookupError, TypeError or ValueError if the payload has another form, as of another version.
+    commanded: list[ActuatorState] | None
+    measured: list[ActuatorState] | None
+    target: Pose | None
+
+
+def shown_of(state: State) -> Shown:
+    return Shown(state.commanded, state.measured, state.target)
+
+
+class FoxgloveScene:
+    """Draws an arm in any state, from its description with `drawing`.
+
+    Raises LookupError, TypeError or ValueError if a part is missing, or the parts are not of one arm.
     """
 
-    def __init__(self, arm: Message) -> None:
-        self._metres = metres_of(arm.get("unit"))  # of a unit of the daemon's messages
+    def __init__(self, arm: Description) -> None:
+        self._metres = metres_of(arm.unit)  # of a unit of the daemon's messages
         arm = in_metres(arm)
-        self._name, self._planar = str(arm["name"]), arm["dimension"] == 2
-        self._length = float(arm["length"])
-        self._base = np.array(arm["base"], dtype=float).reshape(4, 4)
-        self._frames = [np.array(frames, dtype=float).reshape(-1, 4, 4) for frames in arm["frames"]]
-        self._kinds = arm["drawing"]["modules"]
-        self._bits = [np.array(kind["bits"], dtype=int) for kind in arm["drawing"]["kinds"]]
-        self._bodies = [np.array(kind["body"], dtype=float) for kind in arm["drawing"]["kinds"]]
-        self._ends = list(itertools.accumulate(self._bits[k].shape[1] for k in self._kinds))
-        self._obstacles = [*arm.get("obstacles", ()), *arm.get("sent_obstacles", ())]
-        if len(self._frames) != len(self._kinds) or len(arm["actuators"]) != self._ends[-1]:
+        self._name, self._planar, self._length = arm.name, arm.dimension == 2, arm.length
+        self._base = base_of(arm)
+        self._frames = [np.array(frames, dtype=float).reshape(-1, 4, 4) for frames in arm.frames]
+        structure = structure_of(arm)
+        self._bits = [np.array(kind.bits, dtype=int) for kind in structure]
+        self._bodies = [np.array(kind.body, dtype=float) for kind in structure]
+        self._ends = list(itertools.accumulate(bits.shape[1] for bits in self._bits))
+        self._obstacles = [*arm.obstacles, *arm.sent_obstacles]
+        if len(self._frames) != len(structure) or len(arm.actuators) != self._ends[-1]:
             raise ValueError("frames, drawing and actuators are not of one arm")
 
-    def transforms(self, state: Message, stamp: float) -> dict[str, Any]:
-        """Returns the FrameTransforms of a `state` at a UNIX time [s]."""
-        names, chosen = [f"{self._name}/{k}" for k in range(len(self._kinds) + 1)], self._configuration(state)
+    def transforms(self, shown: Shown, stamp: float) -> dict[str, Any]:
+        """Returns the FrameTransforms at a UNIX time [s]."""
+        names, chosen = [f"{self._name}/{k}" for k in range(len(self._bits) + 1)], self._configuration(shown)
         frames = [self._base, *(own[k] for own, (k, _) in zip(self._frames, chosen, strict=True))]
         return {
             "transforms": [
@@ -68,11 +81,11 @@ class FoxgloveScene:
             ]
         }
 
-    def update(self, state: Message, stamp: float) -> dict[str, Any]:
-        """Returns the SceneUpdate of a `state` at a UNIX time [s]; its entities replace all earlier ones."""
+    def update(self, shown: Shown, stamp: float) -> dict[str, Any]:
+        """Returns the SceneUpdate at a UNIX time [s]; its entities replace all earlier ones."""
         entities = []
-        for m, (k, colour) in enumerate(self._configuration(state)):
-            segments = self._bodies[self._kinds[m]][k]
+        for m, (k, colour) in enumerate(self._configuration(shown)):
+            segments = self._bodies[m][k]
             lines = {
                 "type": 2,  # a line for each two points
                 "pose": pose(),
@@ -84,24 +97,23 @@ class FoxgloveScene:
                 "indices": [],
             }
             entities.append(entity(f"module {m + 1}", f"{self._name}/{m}", stamp, lines=[lines]))
-        target = (state.get("target") or {}).get("position")
         size = self._length * GOAL_SIZE
-        centre = [] if target is None else [x * self._metres for x in target]
+        centre = [] if shown.target is None else [x * self._metres for x in shown.target.position]
         spheres = [{**solid(centre, [size] * 3), "color": rgba(GOAL)}] if centre else []
         entities.append(entity("goal", "world", stamp, spheres=spheres))
         entities.append(entity("obstacles", "world", stamp, **self._regions()))
         return {"deletions": [], "entities": entities}
 
-    def _configuration(self, state: Message) -> list[tuple[int, Colour]]:
+    def _configuration(self, shown: Shown) -> list[tuple[int, Colour]]:
         """Returns state and colour of each module: the measured state, else the commanded, else the first state."""
-        measured = state.get("measured") or [None] * self._ends[-1]
-        commanded = state.get("commanded") or [None] * self._ends[-1]
+        measured = shown.measured or [None] * self._ends[-1]
+        commanded = shown.commanded or [None] * self._ends[-1]
         result = []
-        for kind, begin, end in zip(self._kinds, [0, *self._ends], self._ends, strict=False):
+        for bits, begin, end in zip(self._bits, [0, *self._ends], self._ends, strict=False):
             own, wanted = measured[begin:end], commanded[begin:end]
-            state_of, colour = row(self._bits[kind], own), MEASURED if own == wanted else TRAVELLING
+            state_of, colour = row(bits, own), MEASURED if own == wanted else TRAVELLING
             if state_of is None:
-                state_of, colour = row(self._bits[kind], wanted) or 0, UNKNOWN
+                state_of, colour = row(bits, wanted) or 0, UNKNOWN
             result.append((state_of, colour))
         return result
 

@@ -1,27 +1,27 @@
 """The recorder's thread: writes the received messages of an arm into one recording after the other."""
 
-import contextlib
 import logging
 import platform
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import msgspec
+from msgspec import Meta, Struct
 
 from hyperbit.controller.armfile.units import METRES_TAKEN
 from hyperbit.controller.decoding.decoding import OTHER_FORM, Unreadable, decode
-from hyperbit.controller.messages.reading import read
+from hyperbit.controller.messages.arm import Description
+from hyperbit.controller.messages.goals import Note, Result
+from hyperbit.controller.messages.state import State
 from hyperbit.controller.network.fault_changes import ActiveFaults
 from hyperbit.controller.network.listener import Listener, ReceivedMessage
-from hyperbit.controller.pictures.scene import FoxgloveScene
+from hyperbit.controller.pictures.scene import FoxgloveScene, Shown, shown_of
 from hyperbit.controller.recorder.folder import Folder
 from hyperbit.controller.recorder.recording import LogClock, Recording
-from hyperbit.controller.recorder.schemas import LOG, SCENE, TOPICS, TRANSFORMS
-
-Message = Mapping[str, Any]
+from hyperbit.controller.recorder.schemas import LOG, SCENE, TOPICS, TRANSFORMS, Alive
 
 log = logging.getLogger(__name__)
 
@@ -32,8 +32,8 @@ OWN = ("scene", "frames", "log")  # topics that the recorder makes; a message on
 MOST_TOPICS = 100  # topics of unknown keys; further ones are recorded as "other"
 INFO, WARNING, ERROR = 2, 3, 4  # levels of foxglove.Log
 CLOCK_STEP = 1.0  # [s] by which the system's clock must be set to end a recording
+LOGGED: dict[str, type[Struct]] = {"state": State, "request": Note, "result": Result, "alive": Alive}
 STEP_BEFORE = 0.001  # [s] before a change, at which the old frames are repeated
-SCENE_FIELDS = ("commanded", "measured", "target")
 
 
 class EventLog:
@@ -43,26 +43,23 @@ class EventLog:
         self._mode: tuple[str, str] | None = None
         self._faults = ActiveFaults()
 
-    def lines(self, key: str, message: Message) -> Iterator[tuple[int, str]]:
+    def lines(self, message: Struct) -> Iterator[tuple[int, str]]:
         """Yields the log lines of a message, each with its level."""
-        match key:
-            case "state":
+        match message:
+            case State():
                 yield from self._state(message)
-            case "request":
-                answer = message.get("answer") or {}
-                level = INFO if answer.get("accepted") else WARNING
-                named = f" {answer['id']}" if answer.get("id") else ""
-                outcome = "accepted" if answer.get("accepted") else "refused"
-                yield level, f"{message.get('key')}{named} {outcome}: {answer.get('message')}"
-            case "result":
-                level = INFO if message.get("code") == 0 else WARNING
-                yield level, f"goal {message.get('id')} {message.get('status')}: {message.get('message')}"
-            case "alive":
-                alive = message.get("alive")
+            case Note(key, answer):
+                named = f" {answer.id}" if answer.id else ""
+                outcome = "accepted" if answer.accepted else "refused"
+                yield INFO if answer.accepted else WARNING, f"{key}{named} {outcome}: {answer.message}"
+            case Result():
+                level = INFO if message.code == 0 else WARNING
+                yield level, f"goal {message.id} {message.status}: {message.message}"
+            case Alive(alive):
                 yield (INFO if alive else ERROR), "the daemon is there" if alive else "the daemon is gone"
 
-    def _state(self, state: Message) -> Iterator[tuple[int, str]]:
-        mode = str(state.get("mode")), str(state.get("reason"))
+    def _state(self, state: State) -> Iterator[tuple[int, str]]:
+        mode = state.mode, state.reason
         if mode != self._mode:
             self._mode = mode
             yield (WARNING if mode[0] in ("fault", "stopped") else INFO), f"{mode[0]}: {mode[1]}"
@@ -111,10 +108,10 @@ class Recorder:
         self.retry_at = 0.0
         self.description: bytes | None = None
         self._scene: FoxgloveScene | None = None
-        self._drawn: tuple[Any, ...] | None = None
-        self._state: tuple[int, Message, bytes] | None = None  # the latest: arrival, decoded, encoded
+        self._drawn: tuple[FoxgloveScene, Shown] | None = None
+        self._state: tuple[int, State, bytes] | None = None  # the latest: arrival, decoded, encoded
         self._topics: set[str] = set()
-        self._obstacles: Any = None
+        self._obstacles: int | None = None
         self._asked_at = -ASK_EVERY
         self._needs_description = False  # the daemon is there, but has not described the arm
 
@@ -148,15 +145,19 @@ class Recorder:
             key, data = "alive", msgspec.json.encode({"alive": item.key == "alive"})
         else:
             key, data = self._plain(item.key, item.data)
-        message = decode(data, dict[str, Any])
-        self._write(key, key, data, at, published(message))
-        with contextlib.suppress(*OTHER_FORM):
-            for level, text in self._events.lines(key, message):
-                self._say(level, text, at)
-        if key == "state":
+        self._write(key, key, data, at, published(data))
+        if key not in LOGGED:
+            return
+        try:
+            message = decode(data, LOGGED[key])
+        except Unreadable:  # of a stranger
+            return
+        for level, text in self._events.lines(message):
+            self._say(level, text, at)
+        if isinstance(message, State):
             self._state = at, message, data
-            if message.get("obstacles") != self._obstacles:  # other obstacles were sent: the description has them
-                self._obstacles, self._needs_description = message.get("obstacles"), True
+            if message.obstacles != self._obstacles:  # other obstacles were sent: the description has them
+                self._obstacles, self._needs_description = message.obstacles, True
             self._draw()
 
     def _accept_description(self, data: bytes, at: int) -> None:
@@ -165,14 +166,14 @@ class Recorder:
         if data == self.description:
             return
         try:
-            arm = read("arm", data)
+            arm = decode(data, Description)
             self._scene = FoxgloveScene(arm)
         except OTHER_FORM as error:
             self._say(WARNING, f"the daemon's description of the arm cannot be drawn: {error}", at)
             self._scene = None
         else:
             self.description, self._drawn = data, None
-            if arm.get("unit") is None:
+            if arm.unit is None:
                 log.warning("arm %s: scenes: %s", self._arm, METRES_TAKEN)
             self._write_description(at)
             self._draw()
@@ -181,25 +182,26 @@ class Recorder:
         """Writes the arm's description: a message, the versions as metadata, and the arm's file."""
         if self.description is None:
             return
-        arm = read("arm", self.description)
-        file = arm.get("file") or {}
+        arm = decode(self.description, Description)
+        file = arm.file or None
         values = {
             "arm": self._arm,
-            "version": str(arm.get("version", "")),
+            "version": arm.version or "",
             "recorder_version": version("hyperbit"),
             "recorder_host": platform.node(),
-            "daemon_host": str((arm.get("daemon") or {}).get("host", "")),
-            "unit": str(arm.get("unit") or ""),
-            "file": str(file.get("name", "")),
-            "file_sha256": str(file.get("sha256", "")),
+            "daemon_host": arm.daemon.host or "",
+            "unit": arm.unit or "",
+            "file": file.name if file else "",
+            "file_sha256": file.sha256 if file else "",
         }
 
         def add_description(recording: Recording) -> None:
             recording.add_metadata("hyperbit", values)
             begun = self._clock.at(at)
-            if file:
-                recording.attach(file["name"], "application/yaml", file["text"].encode(), begun)
-            for name, text in file.get("tables", {}).items():
+            if file is None:
+                return
+            recording.attach(file.name, "application/yaml", file.text.encode(), begun)
+            for name, text in file.tables.items():
                 recording.attach(name, "text/csv", text.encode(), begun)
 
         if self._recording is None:
@@ -213,19 +215,17 @@ class Recorder:
         """Writes scene and frames if the arm's shape, target or obstacles have changed."""
         if self._scene is None or self._state is None:
             return
-        at, state, _ = self._state
-        looks = (id(self._scene), *(state.get(field) for field in SCENE_FIELDS))
-        if looks == self._drawn:
+        at, state, data = self._state
+        shown = shown_of(state)
+        if (self._scene, shown) == self._drawn:
             return
-        before, self._drawn = self._drawn, looks
-        stamp = published(state) or self._clock.at(at)
+        before, self._drawn = self._drawn, (self._scene, shown)
+        stamp = published(data) or self._clock.at(at)
         try:
-            scene = msgspec.json.encode(self._scene.update(state, stamp / 1e9))
-            frames = self._scene.transforms(state, stamp / 1e9)
+            scene = msgspec.json.encode(self._scene.update(shown, stamp / 1e9))
+            frames = self._scene.transforms(shown, stamp / 1e9)
             if before is not None:  # otherwise a viewer would interpolate the frames since the last change
-                held = self._scene.transforms(
-                    dict(zip(SCENE_FIELDS, before[1:], strict=True)), stamp / 1e9 - STEP_BEFORE
-                )
+                held = self._scene.transforms(before[1], stamp / 1e9 - STEP_BEFORE)
                 frames["transforms"][:0] = held["transforms"]
         except OTHER_FORM as error:  # a state of another arm or version
             self._say(WARNING, f"a state cannot be drawn: {error}", at)
@@ -299,8 +299,8 @@ class Recorder:
         self._drawn = None
         self._write_description(at)
         if self._state is not None and self.description is not None:
-            heard_at, state, data = self._state
-            self._write("state", "state", data, max(at, heard_at), published(state))
+            heard_at, _, data = self._state
+            self._write("state", "state", data, max(at, heard_at), published(data))
             self._draw()
         return self._recording
 
@@ -320,8 +320,13 @@ class Recorder:
             recording.abandon()
 
 
-def published(message: Any) -> int | None:
+class Stamped(Struct):
+    stamp: Annotated[float, Meta(gt=0, lt=2**63 / 1e9)]  # [UNIX s]
+
+
+def published(data: bytes) -> int | None:
     """Returns the stamp of a message [ns]; None if it has no plausible one."""
-    stamp = message.get("stamp") if isinstance(message, dict) else None
-    plausible = isinstance(stamp, int | float) and 0 < stamp < 2**63 / 1e9
-    return int(stamp * 1e9) if plausible and stamp is not None else None
+    try:
+        return int(decode(data, Stamped).stamp * 1e9)
+    except Unreadable:
+        return None

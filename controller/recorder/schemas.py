@@ -1,21 +1,49 @@
 """JSON schemas of recorded messages: the arm's keys, and three message types of Foxglove.
 
-Foxglove and Lichtblick identify a message type by the name of its schema. The schemas contain only the fields that this
-package writes.
+Foxglove and Lichtblick identify a message type by the name of its schema. A schema allows further fields.
 """
 
 from functools import cache
 from typing import Any
 
 import msgspec
+from msgspec import UNSET, Struct, UnsetType
+
+from hyperbit.controller.messages.reading import MESSAGES
+from hyperbit.controller.motion.decoding.goal import GoalMessage
+from hyperbit.controller.motion.decoding.requests import DegradeMessage, FaultMessage, JogMessage, ObstaclesMessage
+from hyperbit.controller.motion.decoding.setpoint import SetpointMessage
+from hyperbit.controller.motion.tracking.bias import MeasuredTipMessage
 
 Schema = dict[str, Any]
+
+
+class Alive(Struct):
+    """Whether the daemon is there, at each change."""
+
+    alive: bool
+
+
+class Other(Struct):
+    """A message that is no JSON object, or whose key has no topic."""
+
+    key: str
+    value: Any | UnsetType = UNSET
+    text: str | UnsetType = UNSET  # of a message that is no JSON
+
+
+TOPICS: dict[str, type[Struct]] = {
+    **MESSAGES,
+    **{"goal": GoalMessage, "setpoint": SetpointMessage, "measured_tip": MeasuredTipMessage, "jog": JogMessage},
+    **{"degrade": DegradeMessage, "obstacles": ObstaclesMessage, "fault": FaultMessage},
+    **{"alive": Alive, "other": Other},
+}
+
 
 NUMBER: Schema = {"type": "number"}
 INTEGER: Schema = {"type": "integer"}
 TEXT: Schema = {"type": "string"}
 BOOLEAN: Schema = {"type": "boolean"}
-ANYTHING: Schema = {}
 
 
 def array(items: Schema) -> Schema:
@@ -23,88 +51,10 @@ def array(items: Schema) -> Schema:
     return {"type": "array", "items": items}
 
 
-def optional(schema: Schema) -> Schema:
-    """Returns the schema of a value that may be null."""
-    return {"anyOf": [schema, {"type": "null"}]}
-
-
 def fields(**properties: Schema) -> Schema:
-    """Returns the schema of an object with these fields; further fields are allowed."""
+    """Returns the schema of an object with these fields."""
     return {"type": "object", "properties": properties}
 
-
-POSITION = optional(array(NUMBER))
-ORIENTATION = optional({"anyOf": [NUMBER, array(NUMBER)]})
-STATES = optional(array(optional(INTEGER)))  # of the actuators: 0 contracted, 1 extended, null unknown
-FAULT = fields(code=TEXT, source=TEXT, message=TEXT)
-TARGET = fields(position=POSITION, orientation=ORIENTATION)
-REACHED = {
-    "configuration": optional(TEXT),
-    "position": POSITION,
-    "orientation": ORIENTATION,
-    "error": optional(NUMBER),
-    "orientation_error": optional(NUMBER),
-}
-WAYPOINT = fields(t=NUMBER, position=POSITION, orientation=ORIENTATION, configuration=TEXT)
-GOAL = fields(id=TEXT, stamp=NUMBER, waypoints=array(WAYPOINT), tolerance=fields(position=NUMBER, orientation=NUMBER))
-ANSWER = fields(
-    accepted=BOOLEAN, id=optional(TEXT), code=INTEGER, reason=TEXT, message=TEXT, waypoints=array(fields(**REACHED))
-)
-
-TOPICS: dict[str, Schema] = {
-    "state": fields(
-        stamp=NUMBER,
-        mode=TEXT,
-        reason=TEXT,
-        simulated=BOOLEAN,
-        configuration=optional(TEXT),
-        commanded=STATES,
-        measured=STATES,
-        tip=optional(TARGET),
-        goal=optional(TEXT),
-        waypoint=optional(INTEGER),
-        poses=INTEGER,
-        faults=array(FAULT),
-        degraded=array(fields(actuator=TEXT, state=INTEGER)),
-    ),
-    "feedback": fields(id=TEXT, waypoint=INTEGER, waypoints=INTEGER, switches=INTEGER, stages=INTEGER, **REACHED),
-    "result": fields(
-        id=optional(TEXT),
-        status=TEXT,
-        code=INTEGER,
-        reason=TEXT,
-        message=TEXT,
-        switches=INTEGER,
-        repeated=BOOLEAN,
-        **REACHED,
-    ),
-    "diagnostics": fields(
-        stamp=NUMBER,
-        loop=fields(),
-        buses=array(fields()),
-        boards=array(fields()),
-        queues=fields(),
-        setpoint=fields(),
-        switches=INTEGER,
-        counts=array(INTEGER),
-        waits=INTEGER,
-        dropped=INTEGER,
-        ledger=TEXT,
-        real_time=TEXT,
-        executor=TEXT,
-    ),
-    "goal": GOAL,
-    "setpoint": fields(position=POSITION, stamp=NUMBER),
-    "measured_tip": fields(position=POSITION, orientation=ORIENTATION, stamp=NUMBER),
-    "jog": fields(actuators=fields()),
-    "degrade": fields(actuator=TEXT, state=optional(INTEGER)),
-    "obstacles": fields(regions=array(fields())),
-    "fault": fields(fault=TEXT),
-    "request": fields(stamp=NUMBER, key=TEXT, payload=optional(fields()), text=TEXT, answer=ANSWER),
-    "alive": fields(alive=BOOLEAN),
-    "arm": fields(name=TEXT, version=TEXT, dimension=INTEGER, length=NUMBER, actuators=array(TEXT), simulated=BOOLEAN),
-    "other": fields(key=TEXT, value=ANYTHING, text=TEXT),
-}
 
 TIME = fields(sec=INTEGER, nsec=INTEGER)
 VECTOR = fields(x=NUMBER, y=NUMBER, z=NUMBER)
@@ -154,4 +104,27 @@ def schema_of(topic: str) -> tuple[str, bytes]:
     if topic in FOXGLOVE:
         return topic, msgspec.json.encode({"title": topic, **FOXGLOVE[topic]})
     name = f"hyperbit.{topic}" if topic in TOPICS else "hyperbit.any"
-    return name, msgspec.json.encode({"title": name, **TOPICS.get(topic, fields())})
+    return name, msgspec.json.encode({**schema_of_type(TOPICS.get(topic, dict)), "title": name})
+
+
+def schema_of_type(kind: type) -> Schema:
+    """Returns the JSON schema of messages of a type."""
+    (schema,), parts = msgspec.json.schema_components([kind])
+    found: Schema = inlined(schema, parts)
+    return found
+
+
+def inlined(schema: Any, parts: dict[str, Schema]) -> Any:
+    """Returns a schema of msgspec without references, which Foxglove does not read, and open to further fields."""
+    if isinstance(schema, list):
+        return [inlined(it, parts) for it in schema]
+    if not isinstance(schema, dict):
+        return schema
+    if (reference := schema.get("$ref")) is not None:
+        schema = parts[reference.rpartition("/")[2]] | {key: it for key, it in schema.items() if key != "$ref"}
+    closed = schema.get("additionalProperties") is False
+    return {
+        key: inlined(it, parts)
+        for key, it in schema.items()
+        if key != "$defs" and not (closed and key == "additionalProperties")
+    }

@@ -4,17 +4,19 @@ import contextlib
 import math
 import re
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 from hyperbit.controller.armfile.units import METRES_TAKEN, metres_of
-from hyperbit.controller.decoding.decoding import convert
 from hyperbit.controller.manipulator.described import described, in_metres
+from hyperbit.controller.messages.arm import Description
+from hyperbit.controller.messages.goals import GoalEnd
+from hyperbit.controller.messages.state import Diagnostics, SetpointStatus, State
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.network.fault_changes import ActiveFaults
-from hyperbit.controller.pictures.scene import FoxgloveScene
+from hyperbit.controller.pictures.scene import FoxgloveScene, Shown, shown_of
 from hyperbit.controller.ros2 import messages
-from hyperbit.controller.ros2.answers import GoalResult, SetpointCounts
 from hyperbit.controller.ros2.goal_book import GoalBook
 from hyperbit.controller.ros2.goals import ActionGoals, Kind
 from hyperbit.controller.ros2.jobs import Jobs
@@ -28,7 +30,7 @@ from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.session import Session
 
 ROSOUT = qos.Qos(latched=True, depth=1000)
-SAME = ("name", "unit", "frames", "base", "actuators", "dimension", "version")  # fields that identify the node's arm
+SAME = attrgetter("name", "unit", "frames", "base", "actuators", "dimension", "version")  # identify the node's arm
 MOST_SAID = 20  # sentences on /rosout in a second
 MOST_LETTERS = 1000  # of a sentence, which may quote a message from the network
 ODD = re.compile(r"[^A-Za-z0-9_]")
@@ -50,29 +52,25 @@ class ArmNode:
     Raises LookupError, TypeError or ValueError if the description has another form, or a name is not allowed.
     """
 
-    def __init__(
-        self, session: Session, client: Client, arm: Mapping[str, Any], book: GoalBook, settings: Settings
-    ) -> None:
+    def __init__(self, session: Session, client: Client, arm: Description, book: GoalBook, settings: Settings) -> None:
         self._session, self._client, self._book, self._settings = session, client, book, settings
         self._arm, self._world = arm, settings.world
-        if not isinstance(arm["name"], str):
-            raise TypeError(f"name: {arm['name']!r}")
         self._manipulator = described(in_metres(arm))
-        base, metres = self._manipulator.base, metres_of(arm.get("unit"))
-        self._place = Place(settings.world, str(arm["name"]), base, int(arm["dimension"]), metres)
-        self._urdf = urdf(str(arm["name"]), settings.world, self._manipulator)
-        self._node_name, self._namespace = node_name(str(arm["name"]), settings.namespace)
+        base, metres = self._manipulator.base, metres_of(arm.unit)
+        self._place = Place(settings.world, arm.name, base, arm.dimension, metres)
+        self._urdf = urdf(arm.name, settings.world, self._manipulator)
+        self._node_name, self._namespace = node_name(arm.name, settings.namespace)
         names.check_node(self._node_name, self._namespace)
         self.name = f"{self._namespace.rstrip('/')}/{self._node_name}"
-        self._state: Mapping[str, Any] = {}
+        self._state: State | None = None
         self._alive = True
         self._refused: int | None = None  # number of set-points that the daemon had refused at the last question
         self._faults = ActiveFaults()
         self._dropped: dict[str, Counter[str]] = {}
         self._said, self._unsaid = deque[float](maxlen=MOST_SAID), 0
-        self._drawn: Any = None
+        self._drawn: Shown | None = None
         self._scene = FoxgloveScene(arm)
-        self._markers = messages.Markers(self._scene, str(arm["name"]), self._manipulator.length, self._world)
+        self._markers = messages.Markers(self._scene, arm.name, self._manipulator.length, self._world)
 
     def open(self) -> None:
         """Declares the node, publishes constant messages, accepts requests. A zenoh.ZError leaves nothing open."""
@@ -101,8 +99,8 @@ class ArmNode:
             undoing.pop_all()
         self._robot.publish({"data": self._urdf})
         axes = ("tip_x", "tip_y", "tip_z")[: self._place.dimension]
-        self.say(INFO, f"the arm {self._arm['name']}: joints of the tip {', '.join(axes)}, tip_yaw")
-        if self._arm.get("unit") is None:
+        self.say(INFO, f"the arm {self._arm.name}: joints of the tip {', '.join(axes)}, tip_yaw")
+        if self._arm.unit is None:
             self.say(WARN, METRES_TAKEN)
 
     def close(self) -> None:
@@ -112,10 +110,10 @@ class ArmNode:
         self._goals.close()
         self._node.close()
 
-    def describes(self, arm: Mapping[str, Any]) -> bool:
-        return all(arm.get(name) == self._arm.get(name) for name in SAME)
+    def describes(self, arm: Description) -> bool:
+        return bool(SAME(arm) == SAME(self._arm))
 
-    def receive_obstacles(self, arm: Mapping[str, Any]) -> None:
+    def receive_obstacles(self, arm: Description) -> None:
         self._scene, self._drawn = FoxgloveScene(arm), None
         self._markers.scene = self._scene
 
@@ -124,50 +122,49 @@ class ArmNode:
         self._goals.receive_alive(alive=alive)
         self.say(INFO if alive else ERROR, f"the daemon is {'there' if alive else 'gone'}")
 
-    def receive_state(self, state: Mapping[str, Any]) -> None:
+    def receive_state(self, state: State) -> None:
         """Stores a state and logs new and past faults. Raises ValueError for a state of another arm."""
-        for name in ("measured", "commanded"):
-            states, count = state.get(name), len(self._manipulator.actuators)
+        count = len(self._manipulator.actuators)
+        for name, states in (("measured", state.measured), ("commanded", state.commanded)):
             if states is not None and len(states) != count:
                 raise ValueError(f"{name}: {len(states)} states of actuators, expected {count}")
         changes = self._faults.take(state)
         for (code, _), message in changes.came.items():
-            self.say(ERROR if state["mode"] == "fault" else WARN, f"{code}: {message}")
+            self.say(ERROR if state.mode == "fault" else WARN, f"{code}: {message}")
         for code, source in changes.went:
             self.say(INFO, f"{code} at {source} is over")
         self._state = state
 
-    def receive_result(self, result: GoalResult) -> None:
+    def receive_result(self, result: GoalEnd) -> None:
         self._goals.receive_result(result)
         self._requests.receive_result(result)
 
-    def publish_state(self, state: Mapping[str, Any]) -> None:
+    def publish_state(self, state: State) -> None:
         """Publishes joints, tip, frames and feedback of a state, and markers if they changed."""
         self._states.publish(messages.joint_state(state, self._manipulator.actuators))
         if (tip := messages.tip_pose(state, self._place)) is not None:
             self._tips.publish(tip)
         self._frames.publish({"transforms": messages.transforms(self._scene, state, self._world)[1:]})
         self._goals.publish_feedback(state)
-        shown = state.get("commanded"), state.get("measured"), state.get("target")
-        if shown != self._drawn:
+        if (shown := shown_of(state)) != self._drawn:
             self._drawn = shown
             self._pictures.publish(self._markers.array(state))
 
-    def publish_slowly(self, state: Mapping[str, Any], told: Mapping[str, Any] | None) -> None:
+    def publish_slowly(self, state: State, told: Diagnostics | None) -> None:
         """Publishes diagnostics, fixed frames and all markers; logs dropped messages."""
         self._drawn = None
         base = messages.transforms(self._scene, state, self._world)[0]
-        last = f"{self._arm['name']}/{len(self._manipulator.modules)}"
+        last = f"{self._arm.name}/{len(self._manipulator.modules)}"
         tip = {
-            "header": messages.header(state["stamp"], last),
-            "child_frame_id": f"{self._arm['name']}/tip",
+            "header": messages.header(state.stamp, last),
+            "child_frame_id": f"{self._arm.name}/tip",
             "transform": {"translation": {}, "rotation": {"w": 1.0}},
         }
         self._fixed.publish({"transforms": [base, tip]})
-        self.health.publish(messages.diagnostics(str(self._arm["name"]), state, told, alive=self._alive))
+        self.health.publish(messages.diagnostics(self._arm.name, state, told, alive=self._alive))
         self._tell_dropped()
-        if told is not None:
-            self._tell_refused(convert(told.get("setpoint", {}), SetpointCounts))
+        if told is not None and told.setpoint:
+            self._tell_refused(told.setpoint)
 
     def _tell_dropped(self) -> None:
         dropped = self._node.dropped()
@@ -176,7 +173,7 @@ class ArmNode:
                 self.say(WARN, f"{count} messages on {name} were dropped: {reason}")
         self._dropped = dropped
 
-    def _tell_refused(self, counts: SetpointCounts) -> None:
+    def _tell_refused(self, counts: SetpointStatus) -> None:
         """Logs how many set-points the daemon has refused. A set-point has no reply."""
         before, self._refused = self._refused, counts.refused
         if before is not None and counts.refused > before:
@@ -210,21 +207,19 @@ class ArmNode:
         self._robot = self._node.publisher("robot_description", "std_msgs/msg/String", qos.LATCHED)
 
     def _actuator_goal(self, goal: Any) -> Fields:
-        states = self._state.get("measured") or [None] * len(self._manipulator.actuators)
-        return actuator_goal(goal, self._manipulator, states)
+        measured = None if self._state is None else self._state.measured
+        return actuator_goal(goal, self._manipulator, measured or [None] * len(self._manipulator.actuators))
 
-    def _tip_feedback(self, state: Mapping[str, Any], joints: Sequence[str]) -> Fields:
-        target, tip = state.get("target"), state.get("tip")
-        unknown = [math.nan] * len(joints)
-        wanted = tip_positions(target, joints, self._place) if target and "position" in target else unknown
-        return feedback(state, joints, wanted, tip_positions(tip, joints, self._place) if tip else unknown)
+    def _tip_feedback(self, state: State, joints: Sequence[str]) -> Fields:
+        wanted, actual = (tip_positions(pose, joints, self._place) for pose in (state.target, state.tip))
+        return feedback(state, joints, wanted, actual)
 
-    def _actuator_feedback(self, state: Mapping[str, Any], joints: Sequence[str]) -> Fields:
+    def _actuator_feedback(self, state: State, joints: Sequence[str]) -> Fields:
         def of(states: Sequence[int | None] | None) -> list[float]:
             known = dict(zip(self._manipulator.actuators, states or (), strict=False))
             return [math.nan if known.get(name) is None else float(known[name]) for name in joints]  # type: ignore[arg-type]
 
-        return feedback(state, joints, of(state.get("commanded")), of(state.get("measured")))
+        return feedback(state, joints, of(state.commanded), of(state.measured))
 
 
 def node_name(arm: str, namespace: str) -> tuple[str, str]:
@@ -239,9 +234,9 @@ def tell(session: Session, settings: Settings, node: str, text: str) -> None:
         publisher.publish(messages.log(session.computer.time(), ERROR, node, text))
 
 
-def feedback(state: Mapping[str, Any], joints: Sequence[str], wanted: list[float], actual: list[float]) -> Fields:
+def feedback(state: State, joints: Sequence[str], wanted: list[float], actual: list[float]) -> Fields:
     """Returns a FollowJointTrajectory_Feedback: desired and actual positions, and their difference."""
     errors = [a - b for a, b in zip(wanted, actual, strict=True)]
     points = {"desired": wanted, "actual": actual, "error": errors}
-    head = messages.header(state["stamp"])
+    head = messages.header(state.stamp)
     return {"header": head, "joint_names": list(joints), **{name: {"positions": it} for name, it in points.items()}}

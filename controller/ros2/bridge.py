@@ -5,10 +5,12 @@ from collections.abc import Callable
 from typing import Any
 
 from hyperbit.controller.decoding.decoding import OTHER_FORM, decode
-from hyperbit.controller.messages.reading import UnreadCount, read
+from hyperbit.controller.messages.arm import Description
+from hyperbit.controller.messages.goals import Result
+from hyperbit.controller.messages.reading import UnreadCount
+from hyperbit.controller.messages.state import Diagnostics, State
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.network.listener import Listener, ReceivedMessage
-from hyperbit.controller.ros2.answers import GoalResult, State
 from hyperbit.controller.ros2.arm_node import ArmNode, Settings
 from hyperbit.controller.ros2.goal_book import GoalBook
 from hyperbit.controller.ros2.wire.session import Session
@@ -29,7 +31,8 @@ class Bridge:
         self._book, self._settings = book, settings
         self.node: ArmNode | None = None
         self.description = b""
-        self._latest: dict[str, dict[str, Any]] = {}  # the last `state` and `diagnostics`
+        self._state: State | None = None  # the last one
+        self._diagnostics: Diagnostics | None = None
         self._new_state = False
         self._unread = UnreadCount()
         self._asked = self._slow = -ASK_EVERY  # times of the last question and of slow messages [s]
@@ -63,17 +66,16 @@ class Bridge:
                 self._asked = -ASK_EVERY if item.key == "alive" else self._asked
                 self.description = b"" if item.key == "alive" else self.description
             case "state":
-                state = read("state", item.data, State)
+                state, before = decode(item.data, State), self._state
                 if node is not None:
                     node.receive_state(state)
-                before = self._latest.get("state", {})
-                if state.get("obstacles") != before.get("obstacles"):  # the description has the new ones
+                if before is None or state.obstacles != before.obstacles:  # the description has the new ones
                     self.description = b""
-                self._latest["state"], self._new_state = state, True
+                self._state, self._new_state = state, True
             case "diagnostics":
-                self._latest["diagnostics"] = read("diagnostics", item.data)
+                self._diagnostics = decode(item.data, Diagnostics)
             case "result" if node is not None:
-                node.receive_result(decode(item.data, GoalResult))
+                node.receive_result(decode(item.data, Result))
 
     def tick(self, now: float) -> None:
         """Publishes what is new or due; `now` [s]."""
@@ -83,14 +85,14 @@ class Bridge:
         if self.node is None:
             return
         self.node.poll(now)
-        if (state := self._latest.get("state")) is None:
+        if (state := self._state) is None:
             return
         if self._new_state:
             self._new_state = False
             self._attempt(self.node.publish_state, state)
         if now >= self._slow + SLOW:
             self._slow = now
-            self._attempt(self.node.publish_slowly, state, self._latest.get("diagnostics"))
+            self._attempt(self.node.publish_slowly, state, self._diagnostics)
 
     def _attempt(self, function: Callable[..., None], *arguments: Any) -> None:
         """Calls a function. Counts a message that has another form than the daemon's, and goes on."""
@@ -101,7 +103,7 @@ class Bridge:
 
     def _describe(self, data: bytes) -> None:
         """Accepts the arm's description. Another arm needs a new node; other obstacles do not."""
-        arm = read("arm", data)
+        arm = decode(data, Description)
         if self.node is not None and self.node.describes(arm):
             self.node.receive_obstacles(arm)
         else:
@@ -109,5 +111,5 @@ class Bridge:
             self.close()
             node.open()
             self.node = node
-            log.info("the arm %s is node %s on domain %d", arm["name"], node.name, self._settings.domain)
+            log.info("the arm %s is node %s on domain %d", arm.name, node.name, self._settings.domain)
         self.description = data

@@ -11,7 +11,7 @@ import msgspec
 
 from hyperbit.controller.host.files import read_kept
 from hyperbit.controller.host.keeper import write_whole
-from hyperbit.controller.ros2.answers import GoalResult
+from hyperbit.controller.messages.goals import GoalEnd
 from hyperbit.controller.ros2.wire.session import LATEST
 
 KEPT = 60.0  # [s] for which a result is kept after its goal's end
@@ -28,7 +28,7 @@ class BookedGoal(msgspec.Struct, frozen=True):
     kind: str  # "tip" or "actuators", or the topic's name
     joints: tuple[str, ...]
     stamp: Annotated[int, msgspec.Meta(ge=0, le=LATEST)]  # of arrival [ns since 1970]
-    result: GoalResult | None = None
+    result: GoalEnd | None = None
     ended: float = 0.0  # time of the result [s]
     canceling: bool = False  # a cancel was accepted before the end, so the result may be "canceled"
     owed: bool = False  # a cancel is repeated until the daemon reports the goal's end

@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from hyperbit.controller.messages.goals import GoalEnd, LedgerAnswer
+from hyperbit.controller.messages.state import State
 from hyperbit.controller.network.client import Client, Unanswered
-from hyperbit.controller.ros2.answers import Answer, GoalResult, LedgerAnswer, request
+from hyperbit.controller.ros2.answers import request, sentence
 from hyperbit.controller.ros2.goal_book import KEPT, MOST_OWED, BookedGoal, GoalBook
 from hyperbit.controller.ros2.jobs import Jobs, Passage, Say, Task, Withdrawn
 from hyperbit.controller.ros2.messages import ERROR, INFO, WARN
@@ -37,7 +39,7 @@ class Kind(NamedTuple):
 
     name: str  # relative to the node's namespace
     convert: Callable[[Any], Fields]  # from an action's goal to the daemon's goal; raises BadGoal
-    feedback: Callable[[Mapping[str, Any], tuple[str, ...]], Fields]  # from a `state` and the joints' names
+    feedback: Callable[[State, tuple[str, ...]], Fields]  # from a `state` and the joints' names
 
 
 @dataclass
@@ -48,7 +50,7 @@ class OpenGoal:
     handle: GoalHandle | None  # None: no client waits, but a cancel is owed
     since: float  # the bridge knows the goal since this time [s]
     decided: bool = True
-    early: GoalResult | None = None  # result that came before the decision
+    early: GoalEnd | None = None  # result that came before the decision
     asked: float = -math.inf  # time of the last request for the result [s]
     canceled: float = -math.inf  # time of the last cancel [s]
 
@@ -73,15 +75,15 @@ class ActionGoals:
         for booked in book.goals():
             self._restore(booked)
 
-    def receive_result(self, result: GoalResult) -> None:
-        self._end(result.id, result)
+    def receive_result(self, result: GoalEnd) -> None:
+        self._end(result.id or "", result)
 
     def receive_alive(self, *, alive: bool) -> None:
         self._gone = None if alive else self._gone or self._computer.monotonic()
 
-    def publish_feedback(self, state: Mapping[str, Any]) -> None:
+    def publish_feedback(self, state: State) -> None:
         with self._lock:
-            goal = self._open.get(str(state.get("goal")))
+            goal = self._open.get(state.goal or "")
             handle = goal.handle if goal is not None else None
         if goal is not None and handle is not None:
             handle.feedback(self._kinds[goal.booked.kind].feedback(state, goal.booked.joints))
@@ -160,9 +162,9 @@ class ActionGoals:
         begun = OpenGoal(booked, handle, self._computer.monotonic(), decided=False)
         with self._lock:
             self._open[booked.id] = begun
-        answer = request(self._client, Answer, "goal", goal, passage)
+        answer = request(self._client, "goal", goal, passage)
         if not answer.accepted:
-            raise BadGoal(answer.text or "no reason is given", answer.code)
+            raise BadGoal(sentence(answer) or "no reason is given", answer.code)
         if allowed is not None:
             within = max(goal["stamp"] - self._computer.time(), 0.0) + goal["waypoints"][-1]["t"] + allowed
             begun.booked = msgspec.structs.replace(booked, since=self._computer.monotonic(), within=within)
@@ -173,7 +175,7 @@ class ActionGoals:
             begun.decided = True
         if begun.early is not None:
             self._end(booked.id, begun.early)
-        self._say(INFO, f"goal {booked.id} of {self._kinds[kind].name} is accepted: {answer.text}")
+        self._say(INFO, f"goal {booked.id} of {self._kinds[kind].name} is accepted: {sentence(answer)}")
 
     def _withdraw(self, name: str, *, may_run: bool) -> None:
         """Removes a rejected goal; cancels it if the daemon may run it."""
@@ -256,7 +258,7 @@ class ActionGoals:
         while (goal := self._due_cancel(self._computer.monotonic())) is not None:
             first, goal.canceled = goal.canceled < 0, self._computer.monotonic()
             try:
-                request(self._client, Answer, "cancel", {"id": goal.booked.id}, timeout=ENDING_TIMEOUT)
+                request(self._client, "cancel", {"id": goal.booked.id}, timeout=ENDING_TIMEOUT)
             except Unanswered as error:
                 if first:
                     self._say(ERROR, f"goal {goal.booked.id} is not canceled yet: {error}")
@@ -267,20 +269,20 @@ class ActionGoals:
         while (goal := self._due_question(self._computer.monotonic())) is not None:
             goal.asked = self._computer.monotonic()
             try:
-                answer = request(self._client, LedgerAnswer, "result", {"id": goal.booked.id}, timeout=ENDING_TIMEOUT)
+                answer = request(self._client, "result", {"id": goal.booked.id}, timeout=ENDING_TIMEOUT)
             except Unanswered:
                 return
-            if answer.result is not None:
+            if isinstance(answer, LedgerAnswer) and answer.result is not None:
                 self._end(goal.booked.id, answer.result)
             elif answer.reason == "unknown-goal" and self._computer.monotonic() > goal.since + KNOWN_WITHIN:
                 why = "the daemon does not know the goal; how it ended is not known"
-                self._end(goal.booked.id, GoalResult("lost", LOST, why))
+                self._end(goal.booked.id, GoalEnd("lost", code=LOST, message=why))
 
     def _lose(self, goal: OpenGoal, why: str) -> None:
         """Reports to a client that the end of its goal is unknown. An owed cancel stays."""
-        self._end(goal.booked.id, GoalResult("lost", LOST, why), known=False)
+        self._end(goal.booked.id, GoalEnd("lost", code=LOST, message=why), known=False)
 
-    def _end(self, name: str, result: GoalResult, *, known: bool = True) -> None:
+    def _end(self, name: str, result: GoalEnd, *, known: bool = True) -> None:
         """Ends a goal, once. `known`: the daemon has ended the goal as well, so no cancel is owed."""
         with self._lock:
             goal = self._open.get(name)
@@ -295,7 +297,7 @@ class ActionGoals:
             canceling = handle is not None and handle.status is Status.CANCELING
             if result.status == "canceled" and goal.booked.owed and not goal.booked.canceling:
                 why = "the arm was not there within goal_time_tolerance, and the goal was canceled"
-                result = GoalResult("aborted", TOO_LATE, why)
+                result = GoalEnd("aborted", code=TOO_LATE, message=why)
             if handle is not None:
                 now = self._computer.monotonic()
                 booked = msgspec.structs.replace(booked, result=result, ended=now, canceling=canceling)
@@ -309,10 +311,9 @@ class ActionGoals:
         self._say(INFO if result.status == "succeeded" else WARN, f"goal {name} {result.status}: {result.message}")
 
 
-def ending(result: GoalResult, *, canceling: bool) -> tuple[Status, Fields]:
+def ending(result: GoalEnd, *, canceling: bool) -> tuple[Status, Fields]:
     status = Status.CANCELED if result.status == "canceled" and canceling else Status.ABORTED
-    code, sentence = LOST if result.code is None else result.code, f"{result.status}: {result.message}"
-    fields = {"error_code": code, "error_string": sentence}
+    fields = {"error_code": result.code, "error_string": f"{result.status}: {result.message}"}
     return Status.SUCCEEDED if result.status == "succeeded" else status, fields
 
 

@@ -4,10 +4,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hyperbit.controller.pictures.scene import FoxgloveScene
-from hyperbit.controller.ros2.poses import Fields, Place, time_of
+from msgspec import to_builtins
 
-Message = Mapping[str, Any]
+from hyperbit.controller.messages.state import Diagnostics, State
+from hyperbit.controller.pictures.scene import FoxgloveScene, shown_of
+from hyperbit.controller.ros2.poses import Fields, Place, time_of
 
 DEBUG, INFO, WARN, ERROR = 10, 20, 30, 40  # of rcl_interfaces/msg/Log
 OK, WARNING, FAULTY, STALE = range(4)  # of diagnostic_msgs/msg/DiagnosticStatus
@@ -22,29 +23,29 @@ def header(stamp: float, frame: str = "") -> Fields:
     return {"stamp": time_of(stamp), "frame_id": frame}
 
 
-def joint_state(state: Message, labels: Sequence[str]) -> Fields:
+def joint_state(state: State, labels: Sequence[str]) -> Fields:
     """Returns the sensor_msgs/msg/JointState of a `state`: 0 contracted, 1 extended, NaN unknown."""
-    measured = state.get("measured") or [None] * len(labels)
+    measured = state.measured or [None] * len(labels)
     positions = [math.nan if value is None else float(value) for value in measured]
-    return {"header": header(state["stamp"]), "name": list(labels), "position": positions}
+    return {"header": header(state.stamp), "name": list(labels), "position": positions}
 
 
-def tip_pose(state: Message, place: Place) -> Fields | None:
+def tip_pose(state: State, place: Place) -> Fields | None:
     """Returns the geometry_msgs/msg/PoseStamped of the measured tip; None if it is not known."""
-    if state.get("tip") is None:
+    if state.tip is None:
         return None
-    return {"header": header(state["stamp"], place.world), "pose": place.pose(state["tip"])}
+    return {"header": header(state.stamp, place.world), "pose": place.pose(state.tip)}
 
 
-def transforms(scene: FoxgloveScene, state: Message, world: str) -> list[Fields]:
+def transforms(scene: FoxgloveScene, state: State, world: str) -> list[Fields]:
     """Returns the geometry_msgs/msg/TransformStamped of the base, then of each module, base first."""
     return [
         {
-            "header": header(state["stamp"], world if it["parent_frame_id"] == "world" else it["parent_frame_id"]),
+            "header": header(state.stamp, world if it["parent_frame_id"] == "world" else it["parent_frame_id"]),
             "child_frame_id": it["child_frame_id"],
             "transform": {"translation": it["translation"], "rotation": it["rotation"]},
         }
-        for it in scene.transforms(state, state["stamp"])["transforms"]
+        for it in scene.transforms(shown_of(state), state.stamp)["transforms"]
     ]
 
 
@@ -55,13 +56,13 @@ class Markers:
         self.scene, self._arm, self._width, self._world = scene, arm, length * THIN, world
         self._shown: set[tuple[str, int]] = set()
 
-    def array(self, state: Message) -> Fields:
+    def array(self, state: State) -> Fields:
         """Returns the visualization_msgs/msg/MarkerArray of a `state`, with DELETE for each marker that is gone."""
         markers: list[Fields] = []
-        for entity in self.scene.update(state, state["stamp"])["entities"]:
+        for entity in self.scene.update(shown_of(state), state.stamp)["entities"]:
             frame = self._world if entity["frame_id"] == "world" else entity["frame_id"]
             head = {
-                "header": header(state["stamp"], frame),
+                "header": header(state.stamp, frame),
                 "ns": f"{self._arm} {entity['id']}",
                 "frame_locked": True,
             }
@@ -81,43 +82,40 @@ class Markers:
         return {"markers": [*gone, *markers]}
 
 
-def diagnostics(arm: str, state: Message, told: Message | None, *, alive: bool = True) -> Fields:
+def diagnostics(arm: str, state: State, told: Diagnostics | None, *, alive: bool = True) -> Fields:
     """Returns the diagnostic_msgs/msg/DiagnosticArray of an arm.
 
-    `told` is the latest payload of `diagnostics`. The latest messages are stale unless the daemon is `alive`.
+    `told` is the latest `diagnostics`. The latest messages are stale unless the daemon is `alive`.
     """
-    words, level = f"{state['mode']}: {state['reason']}", LEVELS.get(state["mode"], STALE)
+    words, level = f"{state.mode}: {state.reason}", LEVELS.get(state.mode, STALE)
     entries = [
         status(
             f"{arm}: arm",
             level if alive else STALE,
             words if alive else f"the daemon is gone; its last words were {words}",
             {
-                "goal": state.get("goal") or "",
-                "simulated": state.get("simulated", False),
-                "homing": ", ".join(state.get("homing", ())),
+                "goal": state.goal or "",
+                "simulated": state.simulated,
+                "homing": ", ".join(state.homing),
             },
         )
     ]
-    for fault in state.get("faults", ()):
-        level = FAULTY if state["mode"] == "fault" else WARNING
-        entries.append(status(f"{arm}: {fault['source']}: {fault['code']}", level, fault["message"], {}))
+    for fault in state.faults:
+        level = FAULTY if state.mode == "fault" else WARNING
+        entries.append(status(f"{arm}: {fault.source}: {fault.code}", level, fault.message, {}))
     if told is not None:
-        for bus in told.get("buses", ()):
-            level = OK if bus["state"] in ("connected", "active") else FAULTY
-            entries.append(status(f"{arm}: bus {bus['name']}", level, bus["state"], bus))
-        for board in told.get("boards", ()):
-            level = OK if board["state"] == "operational" else FAULTY
-            entries.append(status(f"{arm}: board {board['bus']}/{board['node']}", level, board["state"], board))
-        loop = {
-            **told.get("loop", {}),
-            **{name: told.get(name) for name in ("real_time", "ledger", "executor", "dropped")},
-        }
-        entries.append(status(f"{arm}: loop", OK, str(told.get("executor", "")), loop))
-    return {"header": header(state["stamp"]), "status": entries}
+        for bus in told.buses:
+            level = OK if bus.state in ("connected", "active") else FAULTY
+            entries.append(status(f"{arm}: bus {bus.name}", level, bus.state, to_builtins(bus)))
+        for board in told.boards:
+            level = OK if board.state == "operational" else FAULTY
+            entries.append(status(f"{arm}: board {board.bus}/{board.node}", level, board.state, to_builtins(board)))
+        others = {name: getattr(told, name) for name in ("real_time", "ledger", "executor", "dropped")}
+        entries.append(status(f"{arm}: loop", OK, told.executor, {**to_builtins(told.loop), **others}))
+    return {"header": header(state.stamp), "status": entries}
 
 
-def status(name: str, level: int, message: str, values: Message) -> Fields:
+def status(name: str, level: int, message: str, values: Mapping[str, Any]) -> Fields:
     pairs = [{"key": str(key), "value": str(value)} for key, value in values.items() if key not in ("name", "state")]
     return {"level": level, "name": name, "message": message, "hardware_id": name.partition(":")[0], "values": pairs}
 

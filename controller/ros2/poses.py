@@ -1,12 +1,13 @@
 """Poses of ROS 2 as waypoints of goals, and back."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hyperbit.controller.manipulator.frames import Frame
+from hyperbit.controller.messages.parts import Pose
 from hyperbit.controller.ros2.wire.session import LATEST, SECOND
 
 Fields = dict[str, Any]
@@ -51,9 +52,9 @@ class Place(NamedTuple):
         found: list[float] = ((frame @ [*point, 1.0])[: self.dimension] / self.metres).tolist()
         return found
 
-    def pose(self, told: Mapping[str, Any]) -> Fields:
-        """Converts a pose of the daemon, with `position` and optional `orientation`."""
-        turned = told.get("orientation")
+    def pose(self, told: Pose) -> Fields:
+        """Converts a pose of the daemon."""
+        turned = told.orientation
         if turned is None:
             turned = [0.0, 0.0, 0.0, 1.0]
         elif isinstance(turned, float | int):
@@ -61,9 +62,9 @@ class Place(NamedTuple):
         axes = dict(zip("xyz", self.coordinates(told), strict=True))
         return {"position": axes, "orientation": dict(zip("xyzw", map(float, turned), strict=True))}
 
-    def coordinates(self, told: Mapping[str, Any]) -> list[float]:
+    def coordinates(self, told: Pose) -> list[float]:
         """Returns the position (3,) of a pose of the daemon [m]."""
-        return [float(x) * self.metres for x in (*told["position"], 0.0)[:3]]
+        return [float(x) * self.metres for x in (*told.position, 0.0)[:3]]
 
 
 def seconds(stamp: Any) -> float:
@@ -139,9 +140,9 @@ def orientation(turned: Frame, dimension: int) -> Any:
     return quaternion(whole).tolist()
 
 
-def yaw(told: Mapping[str, Any]) -> float:
+def yaw(told: Pose) -> float:
     """Returns the angle about z of a pose of the daemon [rad]; NaN without orientation."""
-    turned = told.get("orientation")
+    turned = told.orientation
     if turned is None:
         return math.nan
     if isinstance(turned, float | int):

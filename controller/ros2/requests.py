@@ -7,11 +7,12 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-import msgspec
 import zenoh
 
+from hyperbit.controller.messages.goals import Answer, GoalEnd, Plan
+from hyperbit.controller.messages.parts import Pose
 from hyperbit.controller.network.client import Client, Unanswered
-from hyperbit.controller.ros2.answers import Answer, ArmAnswer, GoalResult, PlanAnswer, request
+from hyperbit.controller.ros2.answers import described, request, sentence
 from hyperbit.controller.ros2.goal_book import BookedGoal
 from hyperbit.controller.ros2.goals import ActionGoals
 from hyperbit.controller.ros2.jobs import CANCEL, MOST_WAITING, STOP, Jobs, Order, Passage, Say, Task, Withdrawn
@@ -53,10 +54,8 @@ class Ending:
         fields = FAILED
         try:
             with self._order.sending(self._key, number):  # also without a request
-                answer = request(
-                    self._client, Answer, self._key, sending=lambda: self._order.sending(self._key, number)
-                )
-            fields = {"success": answer.accepted, "message": answer.text}
+                answer = request(self._client, self._key, sending=lambda: self._order.sending(self._key, number))
+            fields = {"success": answer.accepted, "message": sentence(answer)}
         except Unanswered as error:
             fields = {"success": False, "message": str(error)}
         finally:
@@ -92,8 +91,8 @@ class Requests:
         for ending in self._endings:
             ending.close()
 
-    def receive_result(self, result: GoalResult) -> None:
-        if self._forget(result.id):
+    def receive_result(self, result: GoalEnd) -> None:
+        if self._forget(result.id or ""):
             level = INFO if result.status == "succeeded" else WARN
             self._say(level, f"goal {result.id} {result.status}: {result.message}")
 
@@ -128,10 +127,10 @@ class Requests:
 
         def run() -> Fields:
             try:
-                answer = request(self._client, Answer, "reset", sending=passage)
+                answer = request(self._client, "reset", sending=passage)
             except (Unanswered, Withdrawn) as error:
                 answer = Answer(accepted=False, message=str(error))
-            return {"success": answer.accepted, "message": answer.text}
+            return {"success": answer.accepted, "message": sentence(answer)}
 
         self._answer(asked, run, FAILED)
 
@@ -144,13 +143,17 @@ class Requests:
                 goal: Fields = {"waypoints": [waypoint(message.goal, self._place, "goal", oriented=self._oriented)]}
                 if math.isfinite(message.tolerance) and message.tolerance > 0:
                     goal["tolerance"] = {"position": float(message.tolerance) / self._place.metres}
-                answer = request(self._client, PlanAnswer, "plan", goal)
+                answer = request(self._client, "plan", goal)
             except (BadGoal, Unanswered) as error:
-                answer = PlanAnswer(accepted=False, message=str(error))
-            if not answer.accepted:
-                self._say(WARN, f"no plan: {answer.text}")
+                answer = Answer(accepted=False, message=str(error))
+            if not isinstance(answer, Plan):
+                self._say(WARN, f"no plan: {sentence(answer)}")
                 return {"plan": {"header": head}}
-            poses = [{"header": head, "pose": self._place.pose(msgspec.structs.asdict(it))} for it in answer.waypoints]
+            poses = [
+                {"header": head, "pose": self._place.pose(Pose(it.position, it.orientation))}
+                for it in answer.waypoints
+                if it.position
+            ]
             return {"plan": {"header": head, "poses": poses}}
 
         self._answer(asked, run, {"plan": {"header": head}})
@@ -161,7 +164,7 @@ class Requests:
             self._remember(booked.id)
             try:
                 self._goals.check_room()
-                answer = request(self._client, Answer, "goal", {**convert(message), "id": booked.id}, passage)
+                answer = request(self._client, "goal", {**convert(message), "id": booked.id}, passage)
             except (BadGoal, Unanswered, Withdrawn) as error:
                 answer = Answer(accepted=False, message=str(error))
                 if passage.sent:  # it may have arrived
@@ -169,7 +172,7 @@ class Requests:
             if not answer.accepted:
                 self._forget(booked.id)
             verb, level = ("accepted", INFO) if answer.accepted else ("refused", WARN)
-            self._say(level, f"goal {booked.id} is {verb}: {answer.text}")
+            self._say(level, f"goal {booked.id} is {verb}: {sentence(answer)}")
 
         def receive(received: Received) -> None:
             passage = Passage(self._order)
@@ -194,7 +197,7 @@ class Requests:
         stamps = [seconds(it.header.stamp) for it in message.poses]
         self._check_stamp(message.poses[0].header.stamp, "goal_path.poses[0]")
         timed = len(stamps) > 1 and all(a < b for a, b in itertools.pairwise(stamps))
-        step = max(LEAST_STEP, 2 * request(self._client, ArmAnswer, "arm").travel_time)
+        step = max(LEAST_STEP, 2 * described(self._client).travel_time)
         times = [it - stamps[0] for it in stamps] if timed else [k * step for k in range(len(stamps))]
         return {
             "waypoints": [

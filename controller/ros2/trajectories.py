@@ -1,13 +1,14 @@
 """Goals of FollowJointTrajectory as goals of the daemon: for the tip, and for single actuators."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.manipulator.notation import format_configuration
+from hyperbit.controller.messages.parts import Pose
 from hyperbit.controller.ros2.poses import BadGoal, Fields, Place, orientation, seconds, yaw
 
 INVALID_JOINTS = -2
@@ -163,7 +164,9 @@ def time_tolerance(goal: Any) -> float | None:
     return allowed if allowed > 0 else None
 
 
-def tip_positions(told: Mapping[str, Any], joints: Sequence[str], place: Place) -> list[float]:
-    """Returns the values of joints of the tip [m, rad] of a pose of the daemon."""
+def tip_positions(told: Pose | None, joints: Sequence[str], place: Place) -> list[float]:
+    """Returns the values of joints of the tip [m, rad] of a pose of the daemon; NaN if it is not known."""
+    if told is None:
+        return [math.nan] * len(joints)
     known = dict(zip(AXES[: place.dimension], place.coordinates(told), strict=False)) | {YAW: yaw(told)}
     return [known.get(name, math.nan) for name in joints]

@@ -11,6 +11,8 @@ import msgspec
 from hyperbit.controller import cli
 from hyperbit.controller.armfile import modules, settings
 from hyperbit.controller.gateway import outbox, server
+from hyperbit.controller.messages import reading
+from hyperbit.controller.messages.goals import Answer, Plan, PlanPoint
 from hyperbit.controller.motion.decoding import goal, requests, setpoint
 from hyperbit.controller.motion.tracking import bias
 from hyperbit.controller.panel.arms import arms
@@ -20,7 +22,6 @@ from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.drivers.simulation.fault_commands import VERBS
 from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.documents.page import ROOT
-from tests.documents.payloads import payloads
 
 
 def structs() -> Iterator[type[msgspec.Struct]]:
@@ -117,8 +118,11 @@ TABLES: dict[str, Callable[[], set[str]]] = {
     "units": units,
     "arms": shipped_arms,
 }
-for key in ("answer", "state", "feedback", "result", "diagnostics", "arm"):
-    TABLES[f"payload of {key}"] = lambda key=key: payloads()[key]  # type: ignore[misc]
+MESSAGES = {"answer": Answer, "plan": Plan, "point of a plan": PlanPoint, **reading.MESSAGES}
+del MESSAGES["timeline"]  # of a replay
+for key, message in MESSAGES.items():
+    others = fields(Answer) if key == "plan" else set[str]()
+    TABLES[f"payload of {key}"] = lambda message=message, others=others: fields(message) - others  # type: ignore[misc]
 STRUCTS = {struct.__name__: struct for struct in structs()}
 for struct in STRUCTS.values():
     TABLES[f"fields of {struct.__name__}"] = lambda struct=struct: fields(struct)  # type: ignore[misc]

@@ -10,7 +10,7 @@ import pytest
 
 from hyperbit.controller.gateway.outbox import MOST_WAITING, POLL, RECONNECTED, SENT_WITHIN, Outbox, encoded
 from hyperbit.controller.messages.arm import Description
-from hyperbit.controller.messages.goals import Ending, Feedback, Note, Result, done, refused
+from hyperbit.controller.messages.goals import Feedback, GoalEnd, Note, Result, done, refused
 from hyperbit.controller.messages.state import Diagnostics, State
 from hyperbit.controller.planning.core.events import Identity, Published, PublishResult
 from hyperbit.controller.refusals.reasons import Reason
@@ -203,7 +203,7 @@ def test_a_result_overtakes_states_refusals_and_other_answers(session: FakeSessi
     outbox.answer(FakeQuery(session), "goal", refused(Refusal(Reason.BUSY)))
     outbox.answer(FakeQuery(session), "plan", done("planned"))
     outbox.answer(FakeQuery(session), "arm", Description(name="a"))
-    outbox.publish("result", Ending(status="refused"))
+    outbox.publish("result", GoalEnd(status="refused"))
     outbox.publish("state", State(mode="ready"))
     outbox.publish_result(result())
     outbox.answer(FakeQuery(session), "stop", done("stopped"))
@@ -240,7 +240,7 @@ def test_while_peers_take_nothing_only_results_pile_up(session: FakeSession, res
     stall(session, outbox)
     for _ in range(2 * MOST_WAITING):
         outbox.answer(FakeQuery(session), "arm", Description())
-        outbox.publish("result", Ending(status="refused"))
+        outbox.publish("result", GoalEnd(status="refused"))
         outbox.publish("feedback", Feedback())
     assert outbox.waiting() == 2 * MOST_WAITING
     outbox.publish_result(result())

@@ -4,15 +4,27 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import convert
 
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.manipulator import frames
-from hyperbit.controller.pictures.scene import MEASURED, TRAVELLING, UNKNOWN, FoxgloveScene, quaternion, rgba, turn_to
+from hyperbit.controller.messages.arm import Description
+from hyperbit.controller.messages.parts import Pose
+from hyperbit.controller.pictures.scene import (
+    MEASURED,
+    TRAVELLING,
+    UNKNOWN,
+    FoxgloveScene,
+    quaternion,
+    rgba,
+    shown_of,
+    turn_to,
+)
 from hyperbit.controller.recorder.schemas import FOXGLOVE, SCENE, TRANSFORMS
 from tests.keys import DEPLOY
 from tests.recorder.shapes import misfits
 from tests.told import arm as planar
-from tests.told import described, state
+from tests.told import described, read_arm, read_state
 
 ARMS = ("planar16", "revolute24", "platform8", "motor12")
 
@@ -24,11 +36,11 @@ def matrix(translation: dict[str, float], rotation: dict[str, float]) -> np.ndar
 @pytest.mark.parametrize("name", ARMS)
 def test_frames_and_lines_are_the_arms(name: str) -> None:
     arm = load(DEPLOY / f"{name}.yaml")
-    m, scene = arm.manipulator, FoxgloveScene(described(arm))
+    m, scene = arm.manipulator, FoxgloveScene(read_arm(arm))
     rng = np.random.default_rng(3)
     for _ in range(3):
         configuration = [int(rng.integers(count)) for count in m.states]
-        now = state(arm, configuration, stamp=5.25)
+        now = shown_of(read_state(arm, configuration, stamp=5.25))
         message = scene.transforms(now, 5.25)
         assert misfits(message, FOXGLOVE[TRANSFORMS]) == []
         chain, found, parent = m.chain(configuration), np.eye(4), "world"
@@ -50,14 +62,14 @@ def test_frames_and_lines_are_the_arms(name: str) -> None:
 
 def test_colours_tell_what_is_measured() -> None:
     arm = planar()
-    scene, now = FoxgloveScene(described(arm)), state(arm, [0] * 16, stamp=1.0)
+    scene, now = FoxgloveScene(read_arm(arm)), shown_of(read_state(arm, [0] * 16, stamp=1.0))
 
     def colours(**changes: Any) -> list[Any]:
-        entities = scene.update({**now, **changes}, 1.0)["entities"][:16]
+        entities = scene.update(now._replace(**changes), 1.0)["entities"][:16]
         return [entity["lines"][0]["color"] for entity in entities]
 
     assert colours() == [rgba(MEASURED)] * 16
-    unknown, travelling = list(now["measured"]), list(now["measured"])
+    unknown, travelling = list(now.measured or ()), list(now.measured or ())
     unknown[0], travelling[3] = None, 1
     assert colours(measured=unknown) == [rgba(UNKNOWN)] + [rgba(MEASURED)] * 15
     assert colours(measured=travelling) == [rgba(MEASURED), rgba(TRAVELLING)] + [rgba(MEASURED)] * 14
@@ -65,19 +77,18 @@ def test_colours_tell_what_is_measured() -> None:
 
 
 def test_goal_and_obstacles_are_drawn() -> None:
-    arm = described(planar())
-    arm["obstacles"] = [
+    obstacles = [
         {"disc": {"centre": [1.2, 2.0], "radius": 0.3}, "name": "pillar"},
         {"box": {"centre": [1.0, 1.0], "size": [0.5, 0.25], "angle": np.pi}},
     ]
-    arm["sent_obstacles"] = [{"half_plane": {"point": [0.0, -0.1], "normal": [0.0, 1.0]}}, {"none": {}}]
-    now = {**state(planar(), [0] * 16, stamp=1.0), "target": {"position": [0.5, 2.9], "orientation": None}}
-    update = FoxgloveScene(arm).update(now, 1.0)
+    sent = [{"half_plane": {"point": [0.0, -0.1], "normal": [0.0, 1.0]}}, {"none": {}}]
+    now = shown_of(read_state(planar(), [0] * 16, stamp=1.0, target={"position": [0.5, 2.9], "orientation": None}))
+    update = FoxgloveScene(read_arm(planar(), obstacles=obstacles, sent_obstacles=sent)).update(now, 1.0)
     assert misfits(update, FOXGLOVE[SCENE]) == []
-    goal, obstacles = update["entities"][-2:]
+    goal, regions = update["entities"][-2:]
     assert goal["spheres"][0]["pose"]["position"] == {"x": 0.5, "y": 2.9, "z": 0.0}
-    assert obstacles["cylinders"][0]["size"]["x"] == 0.6
-    box, floor = obstacles["cubes"]
+    assert regions["cylinders"][0]["size"]["x"] == 0.6
+    box, floor = regions["cubes"]
     assert box["pose"]["orientation"]["z"] == pytest.approx(1.0)
     sides = np.array([floor["size"][axis] for axis in "xyz"])
     turned = matrix(floor["pose"]["position"], floor["pose"]["orientation"])
@@ -86,17 +97,18 @@ def test_goal_and_obstacles_are_drawn() -> None:
 
 
 def test_spheres_and_half_spaces_are_drawn() -> None:
-    arm = described(load(DEPLOY / "platform8.yaml"))
-    arm["obstacles"] = [
+    arm = load(DEPLOY / "platform8.yaml")
+    obstacles = [
         {"sphere": {"centre": [1.0, 2.0, 3.0], "radius": 0.5}},
         {"half_space": {"point": [0.0, 0.0, -1.0], "normal": [0.0, 0.0, 2.0]}},
         {"box": {"centre": [1, 1, 1], "size": [1, 2, 3], "orientation": [0, 0, 0, 1]}},
     ]
-    update = FoxgloveScene(arm).update(state(load(DEPLOY / "platform8.yaml"), [0] * 8, stamp=1.0), 1.0)
+    now = shown_of(read_state(arm, [0] * 8, stamp=1.0))
+    update = FoxgloveScene(read_arm(arm, obstacles=obstacles)).update(now, 1.0)
     assert misfits(update, FOXGLOVE[SCENE]) == []
-    obstacles = update["entities"][-1]
-    assert obstacles["spheres"][0]["size"] == {"x": 1.0, "y": 1.0, "z": 1.0}
-    assert [cube["size"]["z"] for cube in obstacles["cubes"]][1] == 3.0
+    regions = update["entities"][-1]
+    assert regions["spheres"][0]["size"] == {"x": 1.0, "y": 1.0, "z": 1.0}
+    assert [cube["size"]["z"] for cube in regions["cubes"]][1] == 3.0
 
 
 def test_quaternions_are_those_of_the_manipulator() -> None:
@@ -116,9 +128,9 @@ def test_quaternions_are_those_of_the_manipulator() -> None:
 def test_an_arm_that_is_told_otherwise_is_refused(broken: str) -> None:
     arm = described(planar())
     with pytest.raises((LookupError, ValueError, TypeError)):
-        FoxgloveScene({key: value for key, value in arm.items() if key != broken})
+        FoxgloveScene(convert({key: value for key, value in arm.items() if key != broken}, Description))
     with pytest.raises((LookupError, ValueError, TypeError)):
-        FoxgloveScene({**arm, broken: []})
+        FoxgloveScene(convert({**arm, broken: []}, Description))
 
 
 def test_a_scene_is_in_metres_whatever_unit_the_daemon_has() -> None:
@@ -145,15 +157,15 @@ def test_a_scene_is_in_metres_whatever_unit_the_daemon_has() -> None:
             {"half_plane": {"point": [0.0, -1e3], "normal": [0.0, 1.0]}},
         ],
     }
-    now = state(planar(), [0] * 16, stamp=1.0)
-    target = {"position": [0.5, 2.5]}, {"position": [500.0, 2500.0]}
-    scenes = [FoxgloveScene(it) for it in (whole, thousandth)]
-    updates = [scene.update({**now, "target": at}, 1.0) for scene, at in zip(scenes, target, strict=True)]
+    now = shown_of(read_state(planar(), [0] * 16, stamp=1.0))
+    target = Pose([0.5, 2.5]), Pose([500.0, 2500.0])
+    scenes = [FoxgloveScene(convert(it, Description)) for it in (whole, thousandth)]
+    updates = [scene.update(now._replace(target=at), 1.0) for scene, at in zip(scenes, target, strict=True)]
     assert numbers(updates[1]) == pytest.approx(numbers(updates[0]), abs=1e-8)
     frames_of = [scene.transforms(now, 1.0) for scene in scenes]
     assert numbers(frames_of[1]) == pytest.approx(numbers(frames_of[0]), abs=1e-8)
     with pytest.raises(ValueError, match="unit: 'ft' is none of m, cm, mm, in"):
-        FoxgloveScene({**whole, "unit": "ft"})
+        FoxgloveScene(convert({**whole, "unit": "ft"}, Description))
 
 
 def raised(matrices: Any) -> Any:

@@ -10,10 +10,10 @@ from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from google.protobuf.json_format import ParseDict
 
 from hyperbit.controller.arm.arm import load
-from hyperbit.controller.pictures.scene import FoxgloveScene
+from hyperbit.controller.pictures.scene import FoxgloveScene, shown_of
 from hyperbit.controller.recorder.schemas import FOXGLOVE, LOG, SCENE, TIME, TRANSFORMS, Schema
 from tests.keys import DEPLOY
-from tests.told import described, state
+from tests.told import read_arm, read_state
 
 OFFICIAL: dict[str, Any] = {SCENE: SceneUpdate, TRANSFORMS: FrameTransforms, LOG: Log}
 TIMES = ("google.protobuf.Timestamp", "google.protobuf.Duration")  # in JSON Foxglove writes {sec, nsec}
@@ -68,10 +68,10 @@ def test_schemas_have_the_fields_of_foxgloves_types(name: str) -> None:
 def test_messages_are_foxgloves(name: str) -> None:
     arm = load(DEPLOY / f"{name}.yaml")
     sphere = {"centre": [0.5] * arm.manipulator.dimension, "radius": 0.3}
-    known = described(arm, obstacles=[{"disc" if arm.manipulator.dimension == 2 else "sphere": sphere}])
+    known = read_arm(arm, obstacles=[{"disc" if arm.manipulator.dimension == 2 else "sphere": sphere}])
     scene, home = FoxgloveScene(known), [0] * len(arm.manipulator.modules)
     target = {"position": [0.5] * arm.manipulator.dimension, "orientation": None}
-    now = {**state(arm, home, stamp=5.25), "target": target}
+    now = shown_of(read_state(arm, home, stamp=5.25, target=target))
     update, transforms = scene.update(now, 5.25), scene.transforms(now, 5.25)
     assert len(ParseDict(as_protobuf(update), SceneUpdate()).entities) == len(update["entities"]) > len(home)
     assert len(ParseDict(as_protobuf(transforms), FrameTransforms()).transforms) == len(transforms["transforms"])

@@ -15,7 +15,7 @@ from hyperbit.controller.recorder import recorder as module
 from hyperbit.controller.recorder.folder import Folder
 from hyperbit.controller.recorder.recorder import MOST_TOPICS, Limits, Recorder
 from hyperbit.controller.recorder.recording import Recording
-from hyperbit.controller.recorder.schemas import FOXGLOVE, LOG, TOPICS
+from hyperbit.controller.recorder.schemas import FOXGLOVE, LOG, TOPICS, schema_of_type
 from tests.recorder.samples import SECOND, Read, heard, names, read, read_by_another
 from tests.recorder.shapes import misfits
 from tests.told import arm as planar
@@ -224,9 +224,9 @@ def test_a_recording_that_is_gone_is_noticed_and_the_next_one_begins(
 
 
 def test_what_the_arm_publishes_fits_its_schema(arm: Arm) -> None:
-    assert misfits(state(arm, [0] * 16, stamp=1.0), TOPICS["state"]) == []
-    assert misfits(described(arm), TOPICS["arm"]) == []
-    assert misfits({"stamp": "x"}, TOPICS["state"])
+    assert misfits(state(arm, [0] * 16, stamp=1.0), schema_of_type(TOPICS["state"])) == []
+    assert misfits(described(arm), schema_of_type(TOPICS["arm"])) == []
+    assert misfits({"stamp": "x"}, schema_of_type(TOPICS["state"]))
 
 
 def test_a_defect_is_no_reason_to_log_a_traceback(recorder: Recorder, caplog: pytest.LogCaptureFixture) -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from hyperbit.controller.manipulator.frames import Frame, quaternion
 from hyperbit.controller.manipulator.notation import parse_configuration
+from hyperbit.controller.messages.parts import Pose
 from hyperbit.controller.motion.decoding.goal import parse
 from hyperbit.controller.ros2 import poses
 from hyperbit.controller.ros2.poses import BadGoal, Place, check_stamp, rotation, waypoint, yaw
@@ -67,7 +68,7 @@ def test_numbers_that_overflow_are_refused() -> None:
 
 @given(ANGLES)
 def test_an_angle_in_the_plane_comes_back(angle: float) -> None:
-    told = {"position": [1.0, 2.0], "orientation": angle}
+    told = Pose([1.0, 2.0], angle)
     there = place().pose(told)
     turned = rotation([there["orientation"][name] for name in "xyzw"], "")
     assert poses.orientation(turned, 2) == pytest.approx(angle)
@@ -80,7 +81,7 @@ def test_a_rotation_is_that_of_the_quaternion(given: list[float]) -> None:
     turned = np.eye(4)
     turned[:3, :3] = rotation(unit.tolist(), "")
     assert np.abs(quaternion(turned) @ unit) == pytest.approx(1.0, abs=1e-6)
-    told = {"position": [0, 0, 0], "orientation": unit.tolist()}
+    told = Pose([0, 0, 0], unit.tolist())
     level = math.hypot(turned[0, 0], turned[1, 0])
     if level > 0.01:
         assert math.cos(yaw(told)) == pytest.approx(turned[0, 0] / level, abs=1e-6)
@@ -213,8 +214,8 @@ def test_an_unknown_actuator_must_be_named() -> None:
 
 
 def test_positions_of_the_tip_are_in_the_order_of_the_joints() -> None:
-    assert tip_positions({"position": [1.0, 2.0], "orientation": 0.5}, ("tip_yaw", "tip_y"), place()) == [0.5, 2.0]
-    assert math.isnan(tip_positions({"position": [1.0, 2.0]}, ("tip_yaw",), place())[0])
+    assert tip_positions(Pose([1.0, 2.0], 0.5), ("tip_yaw", "tip_y"), place()) == [0.5, 2.0]
+    assert math.isnan(tip_positions(Pose([1.0, 2.0]), ("tip_yaw",), place())[0])
 
 
 def test_ros_has_metres_and_the_daemon_the_unit_of_the_file() -> None:
@@ -230,5 +231,5 @@ def test_ros_has_metres_and_the_daemon_the_unit_of_the_file() -> None:
     assert found["waypoints"][0]["position"] == pytest.approx([400.0, 600.0])
     assert found["tolerance"]["position"] == pytest.approx(2.0)
     assert found["path_tolerance"] == pytest.approx(2.0)
-    assert lift.pose({"position": [400.0, 600.0]})["position"] == pytest.approx({"x": 0.4, "y": 0.6, "z": 0.0})
-    assert tip_positions({"position": [400.0, 600.0]}, ("tip_y", "tip_x"), lift) == pytest.approx([0.6, 0.4])
+    assert lift.pose(Pose([400.0, 600.0]))["position"] == pytest.approx({"x": 0.4, "y": 0.6, "z": 0.0})
+    assert tip_positions(Pose([400.0, 600.0]), ("tip_y", "tip_x"), lift) == pytest.approx([0.6, 0.4])

@@ -7,8 +7,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import yaml
+from msgspec import convert
 from scipy.spatial.transform import Rotation
 
+from hyperbit.controller.messages.state import Diagnostics
 from hyperbit.controller.pictures.scene import FoxgloveScene
 from hyperbit.controller.ros2 import messages
 from hyperbit.controller.ros2.poses import Place
@@ -20,7 +22,7 @@ from tests import told
 from tests.keys import DEPLOY
 from tests.ros2.rig import Rig
 from tests.ros2.world.inputs import TYPES
-from tests.told import arm, described, state
+from tests.told import arm, read_arm, read_state
 
 
 def sent(fields: object, name: str) -> object:
@@ -28,8 +30,9 @@ def sent(fields: object, name: str) -> object:
 
 
 def test_joints_are_0_or_1_or_unknown() -> None:
-    measured = [1, None, *state()["measured"][2:]]
-    it = sent(messages.joint_state(state(measured=measured), arm().manipulator.actuators), "sensor_msgs/msg/JointState")
+    measured = [1, None, *[0] * 46]
+    fields = messages.joint_state(read_state(measured=measured), arm().manipulator.actuators)
+    it = sent(fields, "sensor_msgs/msg/JointState")
     assert it.name[:3] == ["1.left", "1.diagonal", "1.right"]
     assert (it.position[0], it.position[2]) == (1.0, 0.0)
     assert math.isnan(it.position[1])
@@ -38,8 +41,8 @@ def test_joints_are_0_or_1_or_unknown() -> None:
 
 @pytest.mark.parametrize("name", ["planar16", "platform8"])
 def test_frames_lead_from_the_world_to_the_tip(name: str) -> None:
-    scene = FoxgloveScene(described(name))
-    fields = {"transforms": messages.transforms(scene, state(name), "map")}
+    scene = FoxgloveScene(read_arm(name))
+    fields = {"transforms": messages.transforms(scene, read_state(name), "map")}
     frames = sent(fields, "tf2_msgs/msg/TFMessage").transforms
     assert [it.child_frame_id for it in frames] == [
         f"{name}/{k}" for k in range(len(arm(name).manipulator.modules) + 1)
@@ -52,35 +55,33 @@ def test_frames_lead_from_the_world_to_the_tip(name: str) -> None:
         own[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
         own[:3, 3] = place.x, place.y, place.z
         whole = whole @ own
-    tip = messages.tip_pose(state(name), Place("map", name, np.eye(4), arm(name).manipulator.dimension))
+    tip = messages.tip_pose(read_state(name), Place("map", name, np.eye(4), arm(name).manipulator.dimension))
     assert tip is not None
     shown = sent(tip, "geometry_msgs/msg/PoseStamped").pose.position
     assert whole[:3, 3] == pytest.approx([shown.x, shown.y, shown.z], abs=1e-6)
 
 
 def test_a_tip_that_is_not_known_is_not_shown() -> None:
-    assert messages.tip_pose(state(tip=None), Place("world", "planar16", np.eye(4), 2)) is None
+    assert messages.tip_pose(read_state(tip=None), Place("world", "planar16", np.eye(4), 2)) is None
 
 
 def test_markers_that_are_gone_are_deleted() -> None:
     obstacles = [{"name": "a", "disc": {"centre": [2.0, 2.0], "radius": 0.3}}]
-    markers = messages.Markers(FoxgloveScene({**described(), "obstacles": obstacles}), "planar16", 4.0, "world")
-    first = sent(markers.array(state(target={"position": [0.5, 2.8]})), "visualization_msgs/msg/MarkerArray").markers
+    markers = messages.Markers(FoxgloveScene(read_arm(obstacles=obstacles)), "planar16", 4.0, "world")
+    form, goal = "visualization_msgs/msg/MarkerArray", read_state(target={"position": [0.5, 2.8]})
+    first = sent(markers.array(goal), form).markers
     assert len(first) == 16 + 2
     assert len({(it.ns, it.id) for it in first}) == 18
-    markers.scene = FoxgloveScene({**described(), "obstacles": []})
-    second = sent(markers.array(state()), "visualization_msgs/msg/MarkerArray").markers
+    markers.scene = FoxgloveScene(read_arm(obstacles=[]))
+    second = sent(markers.array(read_state()), form).markers
     assert {it.ns for it in second if it.action == messages.DELETE} == {"planar16 goal", "planar16 obstacles"}
     assert len(second) == 16 + 2
 
 
 def test_diagnostics_are_in_words() -> None:
-    health = told.DIAGNOSTICS | {
-        "loop": {"late_worst": 0.001},
-        "buses": [{"name": "can0", "state": "connected", "load": 0.1}],
-    }
+    health = convert(told.DIAGNOSTICS, Diagnostics)
     reason = {"mode": "fault", "reason": "can0/5 is silent", "faults": [told.FAULT], "homing": ["1.left", "1.right"]}
-    fields = messages.diagnostics("a", state(**reason), health)
+    fields = messages.diagnostics("a", read_state(**reason), health)
     found = {it.name: it for it in sent(fields, "diagnostic_msgs/msg/DiagnosticArray").status}
     assert {name: int(it.level) for name, it in found.items()} == {
         "a: arm": messages.FAULTY,
@@ -91,7 +92,7 @@ def test_diagnostics_are_in_words() -> None:
     }
     assert found["a: arm"].message == "fault: can0/5 is silent"
     assert ("homing", "1.left, 1.right") in [(it.key, it.value) for it in found["a: arm"].values]
-    assert [(it.key, it.value) for it in found["a: bus can0"].values] == [("load", "0.1")]
+    assert ("load", "0.1") in [(it.key, it.value) for it in found["a: bus can0"].values]
 
 
 @pytest.mark.parametrize("name", ["planar16", "motor12", "platform8"])

@@ -6,8 +6,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from hyperbit.controller.messages.goals import GoalEnd
 from hyperbit.controller.ros2 import goal_book, goals
-from hyperbit.controller.ros2.answers import GoalResult
 from hyperbit.controller.ros2.goal_book import BookedGoal, GoalBook
 from hyperbit.controller.ros2.goals import LOST
 from hyperbit.controller.ros2.messages import STALE
@@ -20,7 +20,7 @@ END = {"id": ID, "status": "succeeded", "code": 0, "message": "reached"}
 FIRST = BookedGoal("00" * 16, "tip", ("tip_x", "tip_y"), 1_700_000_000_000_000_000)
 SECOND = BookedGoal("11" * 16, "actuators", ("5.left",), 1_700_000_001_000_000_000)
 NO_ID = msgspec.json.encode([msgspec.structs.replace(FIRST, uuid="none")])
-ENDED = msgspec.structs.replace(FIRST, result=GoalResult("succeeded"), ended=100.0)
+ENDED = msgspec.structs.replace(FIRST, result=GoalEnd("succeeded"), ended=100.0)
 
 
 def test_a_goal_that_is_accepted_while_the_bridge_ends_has_one_result(rig: Rig) -> None:
@@ -120,7 +120,7 @@ def test_a_book_is_bounded_and_keeps_running_goals(tmp_path: Path) -> None:
     running = msgspec.structs.replace(FIRST, uuid=UUID.hex())
     book.put(running)
     for k in range(2 * goal_book.MOST_GOALS):
-        book.put(BookedGoal(f"{k:032x}", "tip", (), 1, GoalResult("succeeded"), ended=4e9))
+        book.put(BookedGoal(f"{k:032x}", "tip", (), 1, GoalEnd("succeeded"), ended=4e9))
     assert len(book.goals()) == goal_book.MOST_GOALS
     assert book.goals()[0] == running
 

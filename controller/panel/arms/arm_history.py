@@ -2,11 +2,14 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
+from msgspec import UNSET, to_builtins
 
+from hyperbit.controller.messages.goals import Feedback, Note, Result
+from hyperbit.controller.messages.state import Diagnostics, State
 from hyperbit.controller.network.fault_changes import ActiveFaults
 
 Message = dict[str, Any]
@@ -66,12 +69,9 @@ class ArmHistory:
         """Adds a line to the log; `kind` is "note", "warning" or "fault"."""
         self.lines.append({"at": self._clock(), "kind": kind, "text": text[:LONGEST]})
 
-    def request(self, payload: Mapping[str, Any]) -> None:
-        answer = payload.get("answer") or {}
-        if payload.get("key") not in ("goal", "jog") or not answer.get("accepted"):
-            return
-        goal = payload.get("payload")
-        self.sent(str(answer.get("id")), goal if isinstance(goal, dict) else {})
+    def request(self, note: Note) -> None:
+        if note.key in ("goal", "jog") and note.answer.accepted and note.answer.id:
+            self.sent(note.answer.id, note.payload if isinstance(note.payload, dict) else {})
 
     def sent(self, name: str, goal: Message) -> None:
         """Records an accepted goal, or a jog, which has no waypoints."""
@@ -100,49 +100,47 @@ class ArmHistory:
     def has_result(self, name: object) -> bool:
         return any(entry["id"] == name and entry["status"] != "running" for entry in self.goals)
 
-    def feedback(self, payload: Mapping[str, Any]) -> None:
+    def feedback(self, feedback: Feedback) -> None:
         """Records feedback: the arm has settled at a waypoint."""
-        entry = self.goal(str(payload.get("id")), payload.get("waypoints"))
-        entry["reached"] = int(payload.get("waypoint") or 0) + 1
-        self._error(payload)
+        entry = self.goal(str(feedback.id), feedback.waypoints)
+        entry["reached"] = (feedback.waypoint or 0) + 1
+        self._error(feedback.error)
 
-    def result(self, payload: Mapping[str, Any]) -> None:
-        if payload.get("id") is None:  # a refused put
-            self.say(f"a request was refused: {payload.get('message')}", "warning")
+    def result(self, result: Result) -> None:
+        if result.id is None:  # a refused put
+            self.say(f"a request was refused: {result.message}", "warning")
             return
-        entry = self.goal(str(payload["id"]), None)
+        entry, told = self.goal(result.id, None), to_builtins(result)
         fields = ("status", "code", "message", "switches", "error", "certificate", "travels")
-        entry.update({name: payload[name] for name in fields if name in payload}, ended=self._clock())
-        succeeded = payload.get("status") == "succeeded"
+        entry.update({name: told[name] for name in fields if name in told}, ended=self._clock())
         self.say(
-            f"{payload['id']}: {payload.get('status')}, {payload.get('message')}", "note" if succeeded else "warning"
+            f"{result.id}: {result.status}, {result.message}", "note" if result.status == "succeeded" else "warning"
         )
         if entry["waypoints"] in (None, 1):
-            self._error(payload)
+            self._error(result.error)
 
-    def state(self, payload: Mapping[str, Any]) -> bool:
+    def state(self, state: State) -> bool:
         """Logs changes of mode and faults; returns whether there were any."""
         before = len(self.lines), self.lines[-1]["at"] if self.lines else 0.0
-        if (mode := str(payload.get("mode"))) != self._mode:
+        if (mode := state.mode) != self._mode:
             self._mode = mode
-            self.say(f"{mode}: {payload.get('reason')}", "fault" if mode == "fault" else "note")
+            self.say(f"{mode}: {state.reason}", "fault" if mode == "fault" else "note")
         for entry in self.goals:
-            if entry["status"] == SKIPPED and entry["id"] == payload.get("goal"):
+            if entry["status"] == SKIPPED and entry["id"] == state.goal:
                 entry.pop("message")
                 entry["status"] = "running"
-        changes = self._faults.take(payload)
+        changes = self._faults.take(state)
         for (code, _), message in changes.came.items():
             self.say(f"{code}: {message}", "fault" if mode == "fault" else "warning")
         for code, source in changes.went:
             self.say(f"{code} of {source} is gone")
         return (len(self.lines), self.lines[-1]["at"] if self.lines else 0.0) != before
 
-    def diagnostics(self, payload: Mapping[str, Any]) -> None:
+    def diagnostics(self, diagnostics: Diagnostics) -> None:
         """Records the worst lateness of the executor's loop in the last second."""
-        late = (payload.get("loop") or {}).get("late_worst")
-        if isinstance(late, int | float):
-            self.lateness.append((self._clock(), float(late)))
+        if (late := diagnostics.loop.late_worst) is not UNSET:
+            self.lateness.append((self._clock(), late))
 
-    def _error(self, payload: Mapping[str, Any]) -> None:
-        if isinstance(error := payload.get("error"), int | float):
-            self.errors.append((self._clock(), float(error)))
+    def _error(self, error: float | None) -> None:
+        if error is not None:
+            self.errors.append((self._clock(), error))

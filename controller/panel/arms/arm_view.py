@@ -5,12 +5,17 @@ import logging
 import math
 import time
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import Any
 
 import msgspec
+from msgspec import UNSET, Struct, to_builtins
 
-from hyperbit.controller.decoding.decoding import OTHER_FORM
-from hyperbit.controller.messages.reading import Message, UnreadCount
+from hyperbit.controller.decoding.decoding import OTHER_FORM, convert
+from hyperbit.controller.messages.arm import Description, Running
+from hyperbit.controller.messages.goals import Feedback, Note, Result
+from hyperbit.controller.messages.reading import UnreadCount
+from hyperbit.controller.messages.state import Diagnostics, State, Timeline
 from hyperbit.controller.network.client import Client, Unanswered
 from hyperbit.controller.panel.arms.arm_history import ArmHistory
 from hyperbit.controller.panel.arms.drawing import Drawing, cloud, picture
@@ -39,6 +44,8 @@ SHOWN = (  # fields of the payload of `arm` for the page
     *("poses", "simulated", "simulation"),
 )
 
+DESCRIBED = attrgetter("goal", "obstacles", "poses", "mode")  # the description changes with these
+
 
 class ArmView:
     """Data of one arm. Used only on the event loop of the pages.
@@ -53,12 +60,12 @@ class ArmView:
         self.drawing: Drawing | None = None  # structure of the arm; None until the daemon has described it
         # content type and bytes of the density; None until the daemon has described it
         self.background: tuple[str, bytes] | None = None
-        self.state: Message | None = None  # latest payload of `state`
-        self.diagnostics: Message | None = None  # latest payload of `diagnostics`
+        self.state: State | None = None  # the latest one
+        self.diagnostics: Diagnostics | None = None  # the latest ones
         self._unread = unread
         self._loop, self._heard, self._liveliness = loop, -math.inf, time.monotonic()
         self._sections: dict[str, bytes] = {}
-        self._arm: Message = {}
+        self._arm: dict[str, Any] = {}
         self._replay: ReplayClock | None = None  # of a replayed recording
         self._positions: tuple[Any, ...] = ()
         self._last_states: list[int | None] = []  # the last known state of each actuator
@@ -97,7 +104,7 @@ class ArmView:
             self.history.say(f"{page.person.name} released control")
             self.publish_history()
 
-    def publish(self, section: str, content: Message) -> None:
+    def publish(self, section: str, content: dict[str, Any]) -> None:
         """Sends a section to all pages, if its content has changed."""
         data = msgspec.json.encode({**content, "section": section}, enc_hook=str)
         if self._sections.get(section) == data:
@@ -111,20 +118,20 @@ class ArmView:
         self.publish("log", {"lines": list(self.history.lines)})
         self.publish("curves", {"errors": list(self.history.errors), "lateness": list(self.history.lateness)})
 
-    def summary(self, now: float) -> Message:
-        state = self.state or {}
+    def summary(self, now: float) -> dict[str, Any]:
+        state = self.state
         return {
             "name": self.name,
             "alive": self.alive,
             "age": self._age(now),
-            "mode": state.get("mode"),
-            "reason": state.get("reason"),
-            "simulated": state.get("simulated") is True,
+            "mode": None if state is None else state.mode,
+            "reason": None if state is None else state.reason,
+            "simulated": state is not None and state.simulated,
         }
 
-    def publish_presence(self, now: float, missing: Sequence[Message] = ()) -> None:
+    def publish_presence(self, now: float, missing: Sequence[dict[str, Any]] = ()) -> None:
         """Sends each page stamp and age of the latest state, the page that has control, and missing connections."""
-        latest = {"age": self._age(now), "stamp": (self.state or {}).get("stamp")}
+        latest = {"age": self._age(now), "stamp": None if self.state is None else self.state.stamp}
         presence = {"section": "presence", "alive": self.alive, **latest, "pages": len(self.pages), "missing": missing}
         for page in self.pages:
             control = self.control.described()
@@ -144,44 +151,44 @@ class ArmView:
             self._ask("drawing", "density", "running")
         self.publish_presence(time.monotonic())
 
-    def hear_state(self, state: Message, at: float) -> None:
-        """Accepts a payload of `state` that arrived at time `at` [s]."""
-        faults = advised(state.get("faults", ()))
+    def hear_state(self, state: State, at: float) -> None:
+        """Accepts a state that arrived at time `at` [s]."""
         changed = self.history.state(state)
         before, self.state, self._heard, self.known = self.state, state, at, True
-        described = ("goal", "obstacles", "poses", "mode")  # the description changes with these
-        if before is None or any(state.get(name) != before.get(name) for name in described):
+        if before is None or DESCRIBED(state) != DESCRIBED(before):
             self._ask("running", *(() if self.drawing else ("drawing", "density")))
         if changed:
             self.publish_history()
-        shown = {name: value for name, value in state.items() if name != "stamp"}
-        self.publish("state", {**shown, "faults": faults, "error": target_distance(state)})
+        shown = to_builtins(state)
+        del shown["stamp"]
+        self.publish("state", {**shown, "faults": advised(state.faults), "error": target_distance(state)})
         self._draw(state)
 
-    def hear(self, key: str, payload: Message) -> None:
-        if key == "feedback":
-            self.history.feedback(payload)
-        elif key == "result":
-            self.history.result(payload)
-        elif key == "request":
-            self.history.request(payload)
-        elif key == "diagnostics":
-            self.diagnostics = payload
-            self.publish("diagnostics", payload)
-            self.history.diagnostics(payload)
-        elif key == "timeline":  # only of a replay
-            self._heard = time.monotonic()  # a paused replay publishes no state
-            self._hear_timeline(payload)
-            self.publish("timeline", payload)
-            return
+    def hear(self, message: Struct) -> None:
+        match message:
+            case Feedback():
+                self.history.feedback(message)
+            case Result():
+                self.history.result(message)
+            case Note():
+                self.history.request(message)
+            case Diagnostics():
+                self.diagnostics = message
+                self.publish("diagnostics", to_builtins(message))
+                self.history.diagnostics(message)
+            case Timeline():  # only of a replay
+                self._heard = time.monotonic()  # a paused replay publishes no state
+                self._hear_timeline(message)
+                self.publish("timeline", to_builtins(message))
+                return
         self.publish_history()
 
-    def _hear_timeline(self, payload: Message) -> None:
+    def _hear_timeline(self, timeline: Timeline) -> None:
         if self._replay is None:
             self._replay = ReplayClock()
-            self._replay.hear(payload)
+            self._replay.hear(timeline)
             self.history.set_clock(self._replay)
-        elif (moved := self._replay.hear(payload)) is None:
+        elif (moved := self._replay.hear(timeline)) is None:
             return
         elif moved == "back":
             self.history.rewind()
@@ -189,12 +196,12 @@ class ArmView:
             self.history.skip()
         self.publish_history()
 
-    def _draw(self, state: Message) -> None:
+    def _draw(self, state: State) -> None:
         """Publishes the commanded and the measured shape of the arm, if either has changed.
 
         Modules of unknown position are drawn as they were last known.
         """
-        positions = state.get("commanded"), state.get("measured")
+        positions = state.commanded, state.measured
         if self.drawing is None or positions == self._positions:
             return
         count = len(self.drawing.manipulator.actuators)
@@ -229,7 +236,8 @@ class ArmView:
         while self._again:
             self._again, wanted = False, set(self._wanted)
             try:
-                self._describe(await asyncio.to_thread(self.client.request, "arm", {"with": sorted(wanted)}))
+                told = await asyncio.to_thread(self.client.request, "arm", {"with": sorted(wanted)})
+                self._describe(convert(told, Description))
                 self._wanted -= wanted
                 continue
             except Unanswered as error:
@@ -239,29 +247,29 @@ class ArmView:
             self._again = self.alive  # otherwise the request is repeated when the daemon is back
             await asyncio.sleep(ASK_AGAIN)
 
-    def _describe(self, answer: Message) -> None:
-        if "drawing" in answer:
-            drawing = Drawing(answer)
+    def _describe(self, arm: Description) -> None:
+        if arm.drawing:
+            drawing = Drawing(arm)
             self.drawing, self._positions = drawing, ()
             self._arm["lines"] = drawing.lines
-        if (density := answer.get("density")) is not None:
-            planar = answer["dimension"] == 2
+        if density := arm.density:
+            planar = arm.dimension == 2
             data = picture(density) if planar else msgspec.json.encode(cloud(density))
             self.background = ("image/png" if planar else "application/json"), data
-            self._arm["density"] = {name: density[name] for name in ("shape", "first", "pixel")}
-        if "running" in answer:
-            self.publish("waypoints", answer["running"] or {"goal": None, "waypoints": []})
-        self._arm.update({name: answer.get(name) for name in SHOWN})
+            self._arm["density"] = {"shape": density.shape, "first": density.first, "pixel": density.pixel}
+        if arm.running is not UNSET:
+            self.publish("waypoints", to_builtins(arm.running or Running()))
+        self._arm.update({name: to_builtins(getattr(arm, name)) for name in SHOWN})
         self.publish("arm", self._arm)
         if self.state is not None:
             self._draw(self.state)
 
 
-def target_distance(state: Message) -> float | None:
+def target_distance(state: State) -> float | None:
     """Returns the distance of the tip, tip bias included, from the present target; None if either is unknown."""
-    tip, target = state.get("tip"), (state.get("target") or {}).get("position")
-    if not tip or not target:
+    tip, target = state.tip, state.target
+    if tip is None or target is None:
         return None
-    bias = state.get("bias") or [0.0] * len(tip["position"])
-    position = [x + shift for x, shift in zip(tip["position"], bias, strict=False)]
-    return math.dist(position, target) if len(position) == len(target) else None
+    bias = state.bias or [0.0] * len(tip.position)
+    position = [x + shift for x, shift in zip(tip.position, bias, strict=False)]
+    return math.dist(position, target.position) if len(position) == len(target.position) else None

@@ -9,9 +9,12 @@ from typing import Any
 
 import msgspec
 import zenoh
+from msgspec import Struct
 
-from hyperbit.controller.decoding.decoding import Unreadable
-from hyperbit.controller.messages.reading import UnreadCount, read
+from hyperbit.controller.decoding.decoding import Unreadable, decode
+from hyperbit.controller.messages.goals import Result
+from hyperbit.controller.messages.reading import MESSAGES, UnreadCount
+from hyperbit.controller.messages.state import State
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.network.fleet import is_name
 from hyperbit.controller.network.reach import NoSession
@@ -166,16 +169,16 @@ class Arms:
         if (view := self._view(name)) is None:
             return
         try:
-            self._accept(view, key, read(key, data))
+            self._accept(view, decode(data, MESSAGES[key]))
         except Unreadable as error:
             self._unread.add(name, key, error)
 
-    def _accept(self, view: ArmView, key: str, message: dict[str, Any]) -> None:
-        if key == "result" and message.get("repeated") and view.history.has_result(message.get("id")):
-            return
-        if key == "result":
+    def _accept(self, view: ArmView, message: Struct) -> None:
+        if isinstance(message, Result):
+            if message.repeated and view.history.has_result(message.id):
+                return
             self.counters.result(view.name, message)
-        view.hear(key, message)
+        view.hear(message)
 
     def _on_liveliness(self, name: str, alive: bool) -> None:
         known = self.views.get(name)
@@ -196,13 +199,14 @@ class Arms:
             elif view.pages or due:
                 data, at = self._latest.pop(name)
                 try:
-                    view.hear_state(read("state", data), at)
+                    view.hear_state(decode(data, State), at)
                 except Unreadable as error:
                     self._unread.add(name, "state", error)
                 except Exception:
                     log.exception("arm %s: a state is not shown", name)
                 else:
-                    self.counters.state(name, view.state or {})
+                    if view.state is not None:
+                        self.counters.state(name, view.state)
 
     async def _run(self) -> None:
         presence = 0.0

@@ -5,7 +5,6 @@ import math
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +13,7 @@ from hyperbit.controller.manipulator.described import described
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.manipulator.module import Module
 from hyperbit.controller.manipulator.notation import parse_configuration
-
-Message = dict[str, Any]
+from hyperbit.controller.messages.arm import Density, Description
 
 DIGITS = 5  # coordinates are rounded to this number of digits of the arm's length
 MOST_PIXELS = 100_000_000  # a forged one would fill the memory
@@ -23,11 +21,11 @@ MOST_POINTS = 4000  # points of a spatial density
 
 
 class Drawing:
-    """Structure of an arm, built from the payload of the answer to `arm`, with its `drawing`."""
+    """Structure of an arm, built from its description with `drawing`."""
 
-    def __init__(self, answer: Message) -> None:
-        """Builds the chain. Raises KeyError, TypeError or ValueError if the answer has another form."""
-        self.manipulator = described(answer)
+    def __init__(self, arm: Description) -> None:
+        """Builds the chain. Raises LookupError, TypeError or ValueError if the parts are not of one arm."""
+        self.manipulator = described(arm)
         modules = self.manipulator.modules
         self.lines = [module.body.shape[1] for module in modules]  # number of line segments of each module, shape (B,)
         self._starts = np.cumsum([0, *(len(module.actuators) for module in modules)])
@@ -73,25 +71,25 @@ class Drawing:
         return [float(x) for x in np.round(coordinates.ravel(), self._digits)]
 
 
-def shades_of(density: Message) -> NDArray[np.uint8]:
+def shades_of(density: Density) -> NDArray[np.uint8]:
     """Decodes the `density` of `arm`: pixels (z, y, x), 0 outside the workspace, else 1 to 255.
 
     Raises ValueError if it has another form.
     """
-    size = math.prod(density["shape"])
+    size = math.prod(density.shape)
     if size > MOST_PIXELS:
         raise ValueError(f"a density of {size} pixels, at most {MOST_PIXELS} are drawn")
     try:
-        data = zlib.decompressobj().decompress(base64.b64decode(density["values"]), size + 1)
+        data = zlib.decompressobj().decompress(base64.b64decode(density.values), size + 1)
     except zlib.error as error:
         raise ValueError(f"a density that is not compressed: {error}") from None
-    return np.frombuffer(data, dtype=np.uint8).reshape(density["shape"])
+    return np.frombuffer(data, dtype=np.uint8).reshape(density.shape)
 
 
-def picture(density: Message) -> bytes:
+def picture(density: Density) -> bytes:
     """Returns a planar density as a gray PNG with opacity; the first row has the greatest y."""
     shades = shades_of(density)[0][::-1].astype(float)
-    most = max(float(density["greatest"]), 1.0)
+    most = max(density.greatest, 1.0)
     depth = np.clip(
         (shades / 255.0 - 1.0) * most / np.log(1000.0) + 1.0, 0.0, 1.0
     )  # lightest at 1/1000 of the greatest density
@@ -112,13 +110,13 @@ def png(pixels: NDArray[np.uint8]) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
 
 
-def cloud(density: Message) -> list[list[float]]:
+def cloud(density: Density) -> list[list[float]]:
     """Returns points (n, 4) of a spatial density: x, y, z in the base's frame, and density from 0 to 1."""
     shades = shades_of(density)
     z, y, x = np.nonzero(shades)
     if len(x) > MOST_POINTS:
         chosen = np.random.default_rng(0).choice(len(x), MOST_POINTS, replace=False)
         z, y, x = z[chosen], y[chosen], x[chosen]
-    points = np.array(density["first"]) + density["pixel"] * np.column_stack([x, y, z])
+    points = np.array(density.first) + density.pixel * np.column_stack([x, y, z])
     result: list[list[float]] = np.round(np.column_stack([points, shades[z, y, x] / 255.0]), 4).tolist()
     return result

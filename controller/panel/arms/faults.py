@@ -1,9 +1,13 @@
 """Advice for each fault, by its code; and one advice for each board."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from enum import Enum
 from typing import Any, NamedTuple
+
+from msgspec.structs import asdict
+
+from hyperbit.controller.messages.state import Fault
 
 
 class After(Enum):
@@ -120,7 +124,7 @@ def on_page(advice: str) -> str:
     return COMMAND.sub(lambda found: ACTIONS.get(found[1], found[0]), advice)
 
 
-def advised(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def advised(faults: Sequence[Fault]) -> list[dict[str, Any]]:
     """Returns the faults, each with `advice` and `reset`, whether it needs a reset.
 
     Of several faults of one source, only the first has an advice.
@@ -129,12 +133,12 @@ def advised(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """
     result, codes = list[dict[str, Any]](), dict[str, list[str]]()
     for fault in faults:
-        codes.setdefault(str(fault.get("source")), []).append(str(fault.get("code")))
+        codes.setdefault(fault.source, []).append(fault.code)
     for fault in faults:
-        of_source = codes.pop(str(fault.get("source")), None)
+        of_source = codes.pop(fault.source, None)
         advice = "" if of_source is None else str(common_advice(of_source))
-        reset = ADVICE.get(str(fault.get("code")), UNKNOWN).after is After.RESET
-        result.append({**fault, "advice": advice, "reset": reset})
+        reset = ADVICE.get(fault.code, UNKNOWN).after is After.RESET
+        result.append({**asdict(fault), "advice": advice, "reset": reset})
     return result
 
 

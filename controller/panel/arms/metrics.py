@@ -1,9 +1,9 @@
 """Metrics of all arms in Prometheus' text format, computed from published messages without requests to daemons."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from importlib.metadata import version
-from typing import Any, Protocol
+from typing import Protocol
 
 from msgspec import UnsetType
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
@@ -11,12 +11,10 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from starlette.requests import Request
 from starlette.responses import Response
 
-from hyperbit.controller.decoding.decoding import convert
-from hyperbit.controller.messages.state import Diagnostics, LoopTimes
+from hyperbit.controller.messages.goals import Result
+from hyperbit.controller.messages.state import Diagnostics, State
 from hyperbit.controller.network.fault_changes import ActiveFaults, active
 from hyperbit.controller.panel.arms.faults import ADVICE
-
-Message = Mapping[str, Any]
 
 STATUSES = ("succeeded", "canceled", "replaced", "aborted")
 MODES = ("starting", "ready", "executing", "fault", "stopped")
@@ -30,8 +28,8 @@ class Seen(Protocol):
 
     Attributes:
         alive: whether its daemon is running.
-        state: latest payload of `state`.
-        diagnostics: latest payload of `diagnostics`.
+        state: the latest one.
+        diagnostics: the latest ones.
         actuators: labels, in the order of `diagnostics.counts`; empty while they are unknown.
     """
 
@@ -40,9 +38,9 @@ class Seen(Protocol):
     @property
     def alive(self) -> bool: ...
     @property
-    def state(self) -> Message | None: ...
+    def state(self) -> State | None: ...
     @property
-    def diagnostics(self) -> Message | None: ...
+    def diagnostics(self) -> Diagnostics | None: ...
     @property
     def actuators(self) -> Iterable[str]: ...
 
@@ -55,12 +53,12 @@ class Counters:
         self.faults: Counter[tuple[str, str]] = Counter()
         self._active: dict[str, ActiveFaults] = {}
 
-    def result(self, arm: str, message: Message) -> None:
-        count(self.goals, arm, str(message.get("status")))
+    def result(self, arm: str, result: Result) -> None:
+        count(self.goals, arm, result.status)
 
-    def state(self, arm: str, message: Message) -> None:
-        """Counts the new faults in a payload of `state`."""
-        for code, _ in self._active.setdefault(arm, ActiveFaults()).take(message).came:
+    def state(self, arm: str, state: State) -> None:
+        """Counts the new faults of a state."""
+        for code, _ in self._active.setdefault(arm, ActiveFaults()).take(state).came:
             count(self.faults, arm, code)
 
     def drop_arm(self, arm: str) -> None:
@@ -112,12 +110,12 @@ def of_states(arms: Iterable[Seen]) -> list[Metric]:
         alive.add_metric([arm.name], float(arm.alive))
         if (state := arm.state) is None:
             continue
-        simulated.add_metric([arm.name], float(state.get("simulated") is True))
+        simulated.add_metric([arm.name], float(state.simulated))
         for name in MODES:
-            mode.add_metric([arm.name, name], float(state.get("mode") == name))
+            mode.add_metric([arm.name, name], float(state.mode == name))
         for labels in active(state):
             faults.add_metric([arm.name, *labels], 1.0)
-        locked.add_metric([arm.name], len(state.get("degraded") or ()))
+        locked.add_metric([arm.name], len(state.degraded))
     return [alive, simulated, mode, faults, locked]
 
 
@@ -137,16 +135,14 @@ def of_diagnostics(arms: Iterable[Seen]) -> list[Metric]:
     setpoints = CounterMetricFamily("hyperbit_setpoints", "Set-points heard.", labels=["arm", "outcome"])
     waits = CounterMetricFamily("hyperbit_clearance_waits", "Cycles that waited for a clearance.", labels=["arm"])
     for arm in arms:
-        if arm.diagnostics is None:
+        if (latest := arm.diagnostics) is None:
             continue
-        latest, labels = convert(arm.diagnostics, Diagnostics), list(arm.actuators)
-        counts = latest.counts or ()
+        labels, counts, loop = list(arm.actuators), latest.counts, latest.loop
         if counts:
             all_switches.add_metric([arm.name], sum(counts))
         if len(counts) == len(labels) <= MOST_ACTUATORS:
             for label, switches in zip(labels, counts, strict=True):
                 per_actuator.add_metric([arm.name, label], switches)
-        loop = latest.loop or LoopTimes()
         for quantile, field in QUANTILES:
             put(late, [arm.name, quantile], getattr(loop, field))
         put(overruns, [arm.name], loop.overruns)
@@ -159,7 +155,7 @@ def of_diagnostics(arms: Iterable[Seen]) -> list[Metric]:
             name = f"{board.bus}/{board.node}"
             put(age, [arm.name, name], board.heartbeat_age)
             up.add_metric([arm.name, name], float(board.state == "operational"))
-        for name, length in (latest.queues or {}).items():
+        for name, length in latest.queues.items():
             queue.add_metric([arm.name, name], length)
         if latest.setpoint:
             setpoints.add_metric([arm.name, "received"], latest.setpoint.received)

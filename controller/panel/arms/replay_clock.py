@@ -2,8 +2,10 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping
-from typing import Any, Literal
+from collections.abc import Callable
+from typing import Literal
+
+from hyperbit.controller.messages.state import Timeline
 
 JITTER = 0.5  # [s]; a smaller step is the jitter of messages
 
@@ -19,10 +21,10 @@ class ReplayClock:
         """Returns the present time in the recording, UNIX time [s]."""
         return min(self._at + (self._clock() - self._heard) * self._speed, self._end)
 
-    def hear(self, timeline: Mapping[str, Any]) -> Literal["back", "forward"] | None:
-        """Accepts a payload of `timeline`; returns the direction of a jump, None if the replay runs on."""
+    def hear(self, timeline: Timeline) -> Literal["back", "forward"] | None:
+        """Accepts a `timeline`; returns the direction of a jump, None if the replay runs on."""
         before, speed = self(), self._speed
-        self._at, self._heard, self._end = float(timeline["at"]), self._clock(), float(timeline["end"])
-        self._speed = 0.0 if timeline.get("paused") else float(timeline.get("speed", 1.0))
+        self._at, self._heard, self._end = timeline.at, self._clock(), timeline.end
+        self._speed = 0.0 if timeline.paused else timeline.speed
         step, jitter = self._at - before, JITTER * max(speed, self._speed, 1.0)
         return "back" if step < -jitter else "forward" if step > jitter else None

@@ -5,7 +5,6 @@ import io
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from msgspec import to_builtins
 from msgspec.structs import replace
 
 from hyperbit.controller.arm.arm import load
@@ -19,7 +18,7 @@ from tests.keys import DEPLOY
 def test_arms_are_drawn_as_the_daemon_knows_them(name: str) -> None:
     arm = load(DEPLOY / f"{name}.yaml")
     m = arm.manipulator
-    drawn = Drawing(to_builtins(replace(description(arm), drawing=drawing(arm))))
+    drawn = Drawing(replace(description(arm), drawing=drawing(arm)))
     rng = np.random.default_rng(1)
     configuration = rng.integers(0, m.states)
     wanted = m.body(configuration)[:, :, : m.dimension].ravel()
@@ -39,15 +38,15 @@ def test_arms_are_drawn_as_the_daemon_knows_them(name: str) -> None:
 
 def test_densities_are_pictures_in_the_plane_and_clouds_in_space() -> None:
     arm = load(DEPLOY / "planar16.yaml")
-    told = to_builtins(density(map_densities(arm.manipulator, arm.manipulator.length / 40, 10_000), planar=True))
+    told = density(map_densities(arm.manipulator, arm.manipulator.length / 40, 10_000), planar=True)
     pixels = imread(io.BytesIO(picture(told)), format="png")
-    assert pixels.shape[:2] == tuple(told["shape"][1:])
+    assert pixels.shape[:2] == tuple(told.shape[1:])
     opacity = pixels[..., -1]
     assert opacity.min() == 0.0
     assert 0.4 < opacity.max() < 0.8
     arm = load(DEPLOY / "platform8.yaml")
     densities = map_densities(arm.manipulator, arm.manipulator.length / 40, 10_000)
-    points = np.array(cloud(to_builtins(density(densities, planar=False))))
+    points = np.array(cloud(density(densities, planar=False)))
     assert 100 < len(points) <= 4000
     low, high = densities.box(0)
     assert (points[:, :3] >= low - 1e-3).all()

@@ -10,6 +10,7 @@ from starlette.routing import Route
 from starlette.testclient import TestClient
 
 from hyperbit.controller.decoding.decoding import convert
+from hyperbit.controller.messages.goals import Result
 from hyperbit.controller.messages.state import Diagnostics, State
 from hyperbit.controller.panel.arms.metrics import (
     MOST_ACTUATORS,
@@ -45,9 +46,15 @@ DIAGNOSTICS = {
 class Arm:
     name: str = "a"
     alive: bool = True
-    state: dict[str, Any] | None = None
-    diagnostics: dict[str, Any] | None = None
+    state: State | None = None
+    diagnostics: Diagnostics | None = None
     actuators: list[str] = field(default_factory=list)
+
+
+def told(
+    state: dict[str, Any] = STATE, diagnostics: dict[str, Any] = DIAGNOSTICS, labels: str = "1.left 1.right"
+) -> Arm:
+    return Arm("a", True, convert(state, State), convert(diagnostics, Diagnostics), labels.split())
 
 
 def read(*arms: Arm, counters: Counters | None = None) -> dict[tuple[str, ...], float]:
@@ -66,10 +73,10 @@ def test_counters_begin_with_0_before_the_first_event() -> None:
 def test_metrics_agree_with_the_messages_of_arms() -> None:
     counters = Counters()
     for status in ("succeeded", "succeeded", "aborted"):
-        counters.result("a", {"status": status})
-    for state in (STATE, STATE, {"faults": []}, STATE):
-        counters.state("a", state)
-    found = read(Arm("a", True, STATE, DIAGNOSTICS, ["1.left", "1.right"]), Arm("b", False), counters=counters)
+        counters.result("a", Result(status))
+    for state in (STATE, STATE, {"mode": "ready"}, STATE):
+        counters.state("a", convert(state, State))
+    found = read(told(), Arm("b", False), counters=counters)
     expected = {
         ("hyperbit_goals_total", "a", "succeeded"): 2,
         ("hyperbit_goals_total", "a", "aborted"): 1,
@@ -105,23 +112,22 @@ def test_metrics_agree_with_the_messages_of_arms() -> None:
 @pytest.mark.parametrize("absent", ["faults", *DIAGNOSTICS])
 def test_a_field_that_an_arm_does_not_send_leaves_its_figures_out(absent: str) -> None:
     less = [{name: value for name, value in own.items() if name != absent} for own in (STATE, DIAGNOSTICS)]
-    convert(less[0], State), convert(less[1], Diagnostics)
-    found = read(Arm("a", True, *less, ["1.left", "1.right"]))
-    assert len(found) < len(read(Arm("a", True, STATE, DIAGNOSTICS, ["1.left", "1.right"])))
+    found = read(told(*less))
+    assert len(found) < len(read(told()))
 
 
 def test_few_series() -> None:
     counters, many = Counters(), MOST_ACTUATORS + 1
     for k in range(3 * MOST_KINDS):
-        counters.result("a", {"status": f"status {k}"})
-    found = read(Arm("a", True, STATE, {"counts": [1] * many}, [str(k) for k in range(many)]), counters=counters)
+        counters.result("a", Result(f"status {k}"))
+    found = read(told(STATE, {"counts": [1] * many}, " ".join(map(str, range(many)))), counters=counters)
     assert sum(key[0] == "hyperbit_goals_total" for key in found) == len(STATUSES) + MOST_KINDS + 1
     assert sum(key[0] == "hyperbit_switches_total" for key in found) == 0
     assert found["hyperbit_arm_switches_total", "a"] == many
 
 
 def test_the_route_answers_in_prometheus_format() -> None:
-    arms = [Arm("a", True, STATE, DIAGNOSTICS, ["1.left", "1.right"])]
+    arms = [told()]
     app = Starlette(routes=[Route("/metrics", endpoint(lambda: arms, Counters()))])
     answer = TestClient(app).get("/metrics")
     assert answer.status_code == 200

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hyperbit.controller.executor.core.modes import CLEARING
+from hyperbit.controller.messages.state import Fault
 from hyperbit.controller.panel.access.people import Person
 from hyperbit.controller.panel.arms.faults import ACTIONS, ADVICE, COMMAND, After, advised, on_page
 from hyperbit.controller.panel.arms.heartbeats import KEPT, LONGEST, Heartbeats
@@ -108,7 +109,7 @@ def test_old_heartbeats_take_no_memory() -> None:
 
 
 def advices(*faults: tuple[str, str]) -> list[str]:
-    return [fault["advice"] for fault in advised([{"code": code, "source": source} for code, source in faults])]
+    return [fault["advice"] for fault in advised([Fault(code, source, "") for code, source in faults])]
 
 
 def test_each_source_has_one_advice() -> None:
@@ -130,7 +131,7 @@ def test_the_faults_that_end_by_themselves_are_those_of_the_executor() -> None:
 
 
 def test_a_fault_that_needs_a_reset_says_so() -> None:
-    faults = advised([{"code": code, "source": "can0/3"} for code in ("board-rebooted", "board-lost", "degraded")])
+    faults = advised([Fault(code, "can0/3", "") for code in ("board-rebooted", "board-lost", "degraded")])
     assert [fault["reset"] for fault in faults] == [True, False, False]
 
 

@@ -1,25 +1,30 @@
 """The clocks of a replayed recording, in the history of the page."""
 
+from msgspec.structs import replace
+
+from hyperbit.controller.messages.goals import Result
+from hyperbit.controller.messages.state import State, Timeline
 from hyperbit.controller.panel.arms.arm_history import ArmHistory
 from hyperbit.controller.panel.arms.replay_clock import ReplayClock
 from tests.clock import Clock
 from tests.panel.conftest import Site
 
 LINE = {"begin": 1000.0, "end": 1100.0, "at": 1010.0, "speed": 2.0, "paused": False}
+TIMELINE = Timeline(**LINE)
 
 
 def test_the_time_of_a_replay_follows_its_timeline() -> None:
     clock = Clock(5.0)
     replay = ReplayClock(clock)
-    replay.hear(LINE)
+    replay.hear(TIMELINE)
     clock.now += 3.0
     assert replay() == 1016.0
-    assert replay.hear({**LINE, "at": 1015.8}) is None
-    assert replay.hear({**LINE, "at": 1016.2}) is None
-    assert replay.hear({**LINE, "at": 1020.0, "paused": True}) == "forward"
+    assert replay.hear(replace(TIMELINE, at=1015.8)) is None
+    assert replay.hear(replace(TIMELINE, at=1016.2)) is None
+    assert replay.hear(replace(TIMELINE, at=1020.0, paused=True)) == "forward"
     clock.now += 100.0
     assert replay() == 1020.0
-    assert replay.hear({**LINE, "at": 1005.0}) == "back"
+    assert replay.hear(replace(TIMELINE, at=1005.0)) == "back"
     clock.now += 100.0
     assert replay() == LINE["end"]
 
@@ -29,7 +34,7 @@ def test_the_history_of_a_replay_that_is_moved_back_ends_there() -> None:
     history = ArmHistory(clock)
     history.goal("a", 1)
     clock.now = 10.0
-    history.result({"id": "a", "status": "succeeded", "error": 0.1})
+    history.result(Result(id="a", status="succeeded", error=0.1))
     history.goal("b", 1)
     clock.now = 7.0
     history.rewind()
@@ -40,18 +45,18 @@ def test_the_history_of_a_replay_that_is_moved_back_ends_there() -> None:
 def test_goals_that_end_in_a_skipped_part_of_a_replay_do_not_stay_running() -> None:
     history = ArmHistory(Clock())
     history.goal("ended", 1)
-    history.result({"id": "ended", "status": "succeeded"})
+    history.result(Result(id="ended", status="succeeded"))
     for name in ("skipped", "running"):
         history.goal(name, 2)
     history.skip()
-    history.state({"mode": "executing", "reason": "goal running", "goal": "running"})
+    history.state(State(mode="executing", reason="goal running", goal="running"))
     status = {goal["id"]: (goal["status"], goal.get("message")) for goal in history.goals}
     assert status == {
-        "ended": ("succeeded", None),
+        "ended": ("succeeded", ""),
         "skipped": ("skipped", "its end is in a skipped part of the recording"),
         "running": ("running", None),
     }
-    history.result({"id": "skipped", "status": "succeeded", "message": "reached"})
+    history.result(Result(id="skipped", status="succeeded", message="reached"))
     assert history.goals[1]["status"] == "succeeded"
 
 

@@ -12,6 +12,7 @@ from tests import told
 KEPT_RESULTS = 100
 LATEST, LONGEST = 8.0, 20.0  # [s] until a goal begins, and that it runs
 CODES = {"succeeded": 0, "canceled": -1, "replaced": -1}
+UNKNOWN = {"accepted": False, "message": "no such goal", "reason": "unknown-goal"}
 OUT_OF_REACH = {"accepted": False, "code": -5, "message": "out of reach", "reason": "out-of-reach"}
 
 
@@ -53,8 +54,8 @@ class Daemon:
             case "arm":
                 return told.described() | {"travel_time": 0.5}
             case "result":
-                known = {"accepted": True, "result": self.ledger.get(str(name))}
-                return known if name in self.ledger else {"accepted": False, "reason": "unknown-goal"}
+                known = {"accepted": True, "message": "ended", "result": self.ledger.get(str(name))}
+                return known if name in self.ledger else UNKNOWN
             case "plan" if self._chance is None or self._draw(0.9):
                 return {**told.ANSWER, "waypoints": [{"position": [0.1, 0.2], "orientation": 0.1}]}
             case "plan":
