@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from msgspec import NODEFAULT, UNSET, Struct, structs, to_builtins
+from msgspec import Struct
 
 from hyperbit.controller.decoding.decoding import convert, decode
 from hyperbit.controller.messages.arm import Description
@@ -24,26 +24,18 @@ MESSAGES: dict[str, type[Struct]] = {  # by key; a client hears "request" as `@r
 ANSWERS: dict[str, type[Answer]] = {"plan": Plan, "result": LedgerAnswer}  # to accepted requests, others are `Answer`
 
 
-def read_answer(key: str, data: bytes) -> Answer:
-    """Returns the answer to a request on `key`. Raises Unreadable if it has another form."""
-    answer = decode(data, Answer)
-    return decode(data, ANSWERS[key]) if answer.accepted and key in ANSWERS else answer
-
-
 Message = dict[str, Any]
 
 
 def read(key: str, data: bytes, form: type[Struct] | None = None) -> Message:
+    """Returns the message in a payload of `key` as it came, with fields of later versions.
+
+    `form` is the type that it must have; None: that of MESSAGES. Raises Unreadable if it has another form.
+    """
     message = decode(data, dict[str, Any])
     if (form := MESSAGES.get(key) if form is None else form) is not None:
         convert(message, form)
     return message
-
-
-def filled(key: str, message: Message) -> Message:
-    fields = ((field.name, field) for field in structs.fields(MESSAGES[key]) if field.name not in message)
-    made = {name: field.default_factory() if field.default is NODEFAULT else field.default for name, field in fields}
-    return {**{name: to_builtins(value) for name, value in made.items() if value is not UNSET}, **message}
 
 
 class UnreadCount:

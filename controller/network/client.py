@@ -16,10 +16,11 @@ import msgspec
 import zenoh
 from msgspec import Struct
 
-from hyperbit.controller.decoding.decoding import Unreadable
+from hyperbit.controller.decoding.decoding import Unreadable, convert
 from hyperbit.controller.messages.arm import Description
 from hyperbit.controller.messages.goals import Answer
-from hyperbit.controller.messages.reading import Message, UnreadCount, filled, read
+from hyperbit.controller.messages.reading import Message, UnreadCount, read
+from hyperbit.controller.messages.state import State
 
 # Attempts until a reply comes, and the first pause between them [s]; the last attempt uses a new session.
 TRIES, PAUSE = 4, 0.1
@@ -107,9 +108,9 @@ class Client:
             raise Unanswered(f"the daemon of arm {self._arm!r} did not accept this {key}: {why}")
         raise Unanswered(f"no daemon for arm {self._arm!r} answered on {self._prefix}/{key}")
 
-    def describe(self) -> Message:
-        """Returns the daemon's answer on `arm`, as `request` does."""
-        return filled("arm", self.request("arm"))
+    def describe(self) -> Description:
+        """Returns the daemon's description of its arm; raises as `request`."""
+        return convert(self.request("arm"), Description)
 
     def put(self, key: str, payload: bytes) -> None:
         """Publishes a payload on `key`: setpoint or measured_tip. There is no answer.
@@ -132,14 +133,14 @@ class Client:
 
         return self._session.declare_subscriber(f"{self._prefix}/{key}", receive)
 
-    def next_message(self, key: str, timeout: float = 10.0) -> Message:
-        """Returns the next message on `key`, filled. Raises Unanswered if no message came within `timeout` [s]."""
+    def next_state(self, timeout: float = 10.0) -> State:
+        """Returns the next state. Raises Unanswered if none came within `timeout` [s]."""
         news: queue.SimpleQueue[Message] = queue.SimpleQueue()
-        subscriber = self.subscribe(key, news.put)
+        subscriber = self.subscribe("state", news.put)
         try:
-            return filled(key, news.get(timeout=timeout))
+            return convert(news.get(timeout=timeout), State)
         except queue.Empty:
-            raise Unanswered(f"no {key} from arm {self._arm!r} for {timeout:g} s") from None
+            raise Unanswered(f"no state from arm {self._arm!r} for {timeout:g} s") from None
         finally:
             subscriber.undeclare()  # type: ignore[no-untyped-call]
 

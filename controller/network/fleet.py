@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import zenoh
 
-from hyperbit.controller.decoding.decoding import Unreadable
-from hyperbit.controller.messages.reading import Message, filled, read
+from hyperbit.controller.decoding.decoding import Unreadable, decode
+from hyperbit.controller.messages.arm import Description
+from hyperbit.controller.messages.state import State
 
 # All arms: of the session's own namespace, and of namespaces below it. No key matches both.
 OWN, BELOW = "hyperbit/*", "*/**/hyperbit/*"
@@ -47,7 +48,7 @@ class ArmStatus(NamedTuple):
 
     address: ArmAddress
     gone_at: float | None  # time at which its liveliness token disappeared [UNIX s]; None while it is alive
-    state: Message | None  # the latest; None if none came, or it is unreadable
+    state: State | None  # the latest; None if none came, or it is unreadable
     age: float | None  # time since the arrival of the latest state [s]
     host: str | None  # computer of its daemon; None until the daemon has answered
     version: str | None  # of hyperbit there; None until the daemon has answered
@@ -63,7 +64,7 @@ class ArmStatus(NamedTuple):
 class Presence:
     gone_at: float | None = None  # UNIX [s]
     changed_at: float = 0.0  # time of the last token, or of its end, monotonic [s]
-    description: Message | None = None
+    description: Description | None = None
     asked_at: float = -DESCRIPTION_TIMEOUT  # [s]
 
 
@@ -142,11 +143,10 @@ class Fleet:
         found = []
         for address, arm in sorted(known.items()):
             data, heard = states.get(address, (b"", None))
-            about = arm.description or {}
+            about = arm.description or Description()
             age = None if heard is None else max(now - heard, 0.0)
             new = (heard is None or arm.description is None) and now - arm.changed_at < DESCRIPTION_TIMEOUT
-            host, version = (about.get("daemon") or {}).get("host"), about.get("version")
-            found.append(ArmStatus(address, arm.gone_at, readable(data), age, host, version, new))
+            found.append(ArmStatus(address, arm.gone_at, readable(data), age, about.daemon.host, about.version, new))
         return found
 
     # --- called by Zenoh's threads
@@ -172,9 +172,9 @@ class Fleet:
         if reply.ok is None or (address := address_of(str(reply.ok.key_expr))) is None:
             return
         try:
-            about = read("arm", reply.ok.payload.to_bytes())
+            about = decode(reply.ok.payload.to_bytes(), Description)
         except Unreadable:
-            about = {}  # the arm is not asked again
+            about = Description()  # the arm is not asked again
         with self._lock:
             if (arm := self._arms.get(address)) is not None:
                 arm.description = about
@@ -217,9 +217,9 @@ def is_name(text: str) -> bool:
     return 0 < len(text) <= 64 and text.isascii() and text.replace("-", "a").replace("_", "a").isalnum()
 
 
-def readable(data: bytes) -> Message | None:
+def readable(data: bytes) -> State | None:
     """Returns a state; None if it cannot be read."""
     try:
-        return filled("state", read("state", data))
+        return decode(data, State)
     except Unreadable:
         return None

@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 import zenoh
 
-from hyperbit.controller.decoding.decoding import Unreadable
+from hyperbit.controller.decoding.decoding import Unreadable, decode
 from hyperbit.controller.messages.goals import Answer
-from hyperbit.controller.messages.reading import Message, read
 from hyperbit.controller.network.fleet import PLACES, ArmAddress, address_of, alive
 
 FIRST_WAIT, LONGEST_WAIT = 0.1, 1.0  # [s] until silent arms are asked again
@@ -18,13 +17,13 @@ TIMEOUT = 5.0  # [s] until a live arm counts as silent; a daemon answers within 
 
 
 class StopReport(NamedTuple):
-    answers: dict[ArmAddress, Message]  # an arm that accepts answers when nothing can switch any more
+    answers: dict[ArmAddress, Answer]  # an arm that accepts answers when nothing can switch any more
     silent: list[ArmAddress]  # arms that are alive and did not answer
 
     @property
     def complete(self) -> bool:
         """Whether at least one arm was found, and all arms have stopped."""
-        return bool(self.answers) and not self.silent and all(it["accepted"] for it in self.answers.values())
+        return bool(self.answers) and not self.silent and all(it.accepted for it in self.answers.values())
 
 
 def stop_all(session: zenoh.Session, places: tuple[str, ...] = PLACES, timeout: float = TIMEOUT) -> StopReport:
@@ -39,7 +38,7 @@ def stop_all(session: zenoh.Session, places: tuple[str, ...] = PLACES, timeout: 
         timeout: an arm without an answer after this time counts as silent [s].
     """
     replies: queue.SimpleQueue[zenoh.Reply] = queue.SimpleQueue()
-    answers: dict[ArmAddress, Message] = {}
+    answers: dict[ArmAddress, Answer] = {}
     seen, keys, wait = set[ArmAddress](), places, FIRST_WAIT
     until = time.monotonic() + timeout
     for rounds in itertools.count(1):
@@ -60,10 +59,10 @@ def stop_all(session: zenoh.Session, places: tuple[str, ...] = PLACES, timeout: 
     return StopReport(dict(sorted(answers.items())), silent)
 
 
-def note(reply: zenoh.Reply, answers: dict[ArmAddress, Message]) -> None:
+def note(reply: zenoh.Reply, answers: dict[ArmAddress, Answer]) -> None:
     if reply.ok is None or (address := address_of(str(reply.ok.key_expr))) is None:
         return
     try:
-        answers[address] = read("stop", reply.ok.payload.to_bytes(), Answer)
+        answers[address] = decode(reply.ok.payload.to_bytes(), Answer)
     except Unreadable:  # it counts as none: the arm is asked again
         return

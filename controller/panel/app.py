@@ -185,8 +185,8 @@ class PanelServer:
         loop, places = asyncio.get_running_loop(), (f"{self._prefix}/*",)
         report = await loop.run_in_executor(self._threads.stops, stop_all, self.arms.session, places)
         failed = [f"{arm}: no answer" for arm in report.silent]
-        failed += [f"{arm}: {answer['message']}" for arm, answer in report.answers.items() if not answer["accepted"]]
-        stopped = ", ".join(str(arm) for arm, answer in report.answers.items() if answer["accepted"])
+        failed += [f"{arm}: {answer.message}" for arm, answer in report.answers.items() if not answer.accepted]
+        stopped = ", ".join(str(arm) for arm, answer in report.answers.items() if answer.accepted)
         parts = [*failed, f"stopped: {stopped}" if stopped else "no arm has stopped"]
         return JSONResponse({"accepted": report.complete, "message": "; ".join(parts)})
 

@@ -201,7 +201,7 @@ def test_a_daemon_joins_a_router_that_comes_later_and_again_after_its_loss(comma
             client.request("goal", {"waypoints": [{"configuration": target, "t": 1.0}]})
     with zenoh.open(router), connected("shown", commands.endpoint, None) as client:
         eventually(client.alive)  # it has finished the goal without the router, or does so now
-        eventually(lambda: client.next_message("state")["configuration"] == target)
+        eventually(lambda: client.next_state().configuration == target)
 
 
 def test_two_clients_meet_at_a_router(commands: Commands) -> None:

@@ -14,10 +14,13 @@ from contextlib import ExitStack
 
 import pytest
 import zenoh
+from msgspec import convert
+from msgspec.structs import replace
 from rich.console import Console
 
 from hyperbit.controller.commands.use import fleet
 from hyperbit.controller.commands.use.watch import View, line_of, progress_of
+from hyperbit.controller.messages.state import Diagnostics, Fault, Progress, State
 from hyperbit.controller.network.fleet import ArmAddress, ArmStatus, alive
 from tests import told
 from tests.endpoints import free_endpoint
@@ -25,13 +28,10 @@ from tests.network.played import PlayedArm, Router
 from tests.waiting import PATIENCE, eventually
 
 HERE, THERE = ArmAddress("", "a"), ArmAddress("cell1", "a")
-READY = {"mode": "ready", "reason": "holding", "simulated": False, "goal": "g1", "faults": []}
-INTERLOCK = {"code": "interlock", "message": "interlock gate is open"}
-STUCK = {"code": "stuck", "message": "actuator 2.1 did not move"}
-STATE = {
-    "stamp": 0.0, "mode": "fault", "reason": INTERLOCK["message"], "simulated": False, "faults": [STUCK, INTERLOCK],
-    "tip": None, "configuration": None, "goal": None, "waypoint": None, "commanded": None, "measured": [0, 1, None, 1],
-}  # fmt: skip
+READY = State("ready", reason="holding", goal="g1")
+INTERLOCK = Fault("interlock", "gate", "interlock gate is open")
+STUCK = Fault("stuck", "2.1", "actuator 2.1 did not move")
+STATE = State("fault", reason=INTERLOCK.message, faults=[STUCK, INTERLOCK], measured=[0, 1, None, 1])
 
 
 class Plant:
@@ -165,23 +165,23 @@ def test_a_fault_that_is_the_reason_of_the_mode_is_printed_once():
     stuck = "stuck: actuator 2.1 did not move"
     assert fleet.line_of_arm(arm) == f"a: fault, interlock: interlock gate is open; {stuck}"
     assert line_of(STATE, "") == f"fault: interlock: interlock gate is open; tip unknown; {stuck}"
-    ready = {**STATE, "mode": "ready", "reason": "holding", "faults": [STUCK]}
+    ready = replace(STATE, mode="ready", reason="holding", faults=[STUCK])
     assert line_of(ready, "") == f"ready: holding; tip unknown; {stuck}"
 
 
 def test_the_progress_of_a_goal_is_told():
-    progress = {"waypoints": 5, "reached": 2, "begins": 95.0, "ends": 103.2}
-    assert progress_of({"stamp": 100.0, "progress": progress}) == "2 of 5 waypoints, 3.2 s left"
-    assert progress_of({"stamp": 104.0, "progress": progress}) == "2 of 5 waypoints, 0.8 s late"
-    assert progress_of({"stamp": 100.0, "progress": None}) == progress_of(STATE) == ""
+    running = replace(STATE, stamp=100.0, progress=Progress(5, 2, ends=103.2))
+    assert progress_of(running) == "2 of 5 waypoints, 3.2 s left"
+    assert progress_of(replace(running, stamp=104.0)) == "2 of 5 waypoints, 0.8 s late"
+    assert progress_of(STATE) == ""
 
 
 def shown(labels: list[str], diagnostics: dict | None = None) -> str:
     """Returns what `watch` shows of STATE."""
     view = View("a", labels, " mm")
-    view.receive_message("state", STATE)
+    view.receive_message(STATE)
     if diagnostics:
-        view.receive_message("diagnostics", diagnostics)
+        view.receive_message(convert(diagnostics, Diagnostics))
     with open(os.devnull, "w") as nothing:
         console = Console(width=200, record=True, file=nothing)
         console.print(view)

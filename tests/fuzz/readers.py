@@ -18,6 +18,7 @@ from unittest import mock
 
 import yaml
 import zenoh
+from msgspec import convert
 from rich.console import Console
 
 from hyperbit.controller.arm.arm import load
@@ -35,7 +36,8 @@ from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.gateway.server import GatewayParts, Server
 from hyperbit.controller.host.files import read_kept
-from hyperbit.controller.messages.reading import filled
+from hyperbit.controller.messages import reading
+from hyperbit.controller.messages.state import Diagnostics, State
 from hyperbit.controller.network import client as network_client
 from hyperbit.controller.network.client import Client, Unanswered
 from hyperbit.controller.network.fleet import ArmAddress, Fleet, Presence
@@ -170,12 +172,13 @@ def client() -> Take:
     def show(key: str, message: dict[str, Any]) -> None:
         if key == "result":
             print_result({**message, "code": 0}, "planar16", as_json=False, unit="")
-        message = filled(key, message)
-        view.receive_message(key, message)
+        told = convert(message, reading.MESSAGES[key])
+        if isinstance(told, State | Diagnostics):
+            view.receive_message(told)
         console.print(view)
         console.file = io.StringIO()
-        if key == "state":
-            assert watch_command.clock_of(message) + watch_command.line_of(message, "")
+        if isinstance(told, State):
+            assert watch_command.clock_of(told) + watch_command.line_of(told, "")
 
     def take(key: str, data: bytes) -> None:
         if key in ("state", "diagnostics", "feedback", "result"):
@@ -189,7 +192,7 @@ def client() -> Take:
             if key == "arm":
                 described = one.describe()
                 print_obstacles(described, as_json=False)
-                print_poses(described["poses"], as_json=False)
+                print_poses(described.poses, as_json=False)
             else:
                 ask(one, "planar16", key, {}, as_json=False)
 

@@ -84,7 +84,7 @@ def test_equal_names_in_several_namespaces_are_all_found(stack: ExitStack, route
     for address, arm in arms.items():
         arm.state(goal=str(address))
     found = awaited(fleet, lambda found: all(arm.state for arm in found.values()))
-    assert [(arm.state or {})["goal"] for arm in found.values()] == [str(address) for address in arms]
+    assert [arm.state and arm.state.goal for arm in found.values()] == [str(address) for address in arms]
     assert {(arm.host, arm.version) for arm in found.values()} == {("here", "9.9")}
 
 
@@ -110,7 +110,7 @@ def test_all_rows_come_back_after_the_router_was_ended(stack: ExitStack, router:
     def heard() -> bool:
         for arm in arms:
             arm.state(goal="afterwards")
-        return [(arm.state or {}).get("goal") for arm in fleet.arms()] == ["afterwards"] * 2
+        return [arm.state and arm.state.goal for arm in fleet.arms()] == ["afterwards"] * 2
 
     eventually(heard)
 
@@ -128,7 +128,7 @@ def test_malformed_states_harm_no_other_arm(stack: ExitStack, router: Router, fl
         return len(arms) == len(payloads) + 1 and all(arm.age is not None for arm in arms)
 
     eventually(heard)
-    assert [arm.state and arm.state["mode"] for arm in fleet.arms()] == [None] * len(payloads) + ["ready"]
+    assert [arm.state and arm.state.mode for arm in fleet.arms()] == [None] * len(payloads) + ["ready"]
 
 
 def test_a_stop_for_all_reaches_each_arm(stack: ExitStack, router: Router, viewer: zenoh.Session) -> None:
@@ -165,7 +165,7 @@ def test_a_stranger_takes_no_arm_from_the_list_and_no_stop(
     for prefix in (HERE.prefix, "hyperbit/x"):
         intrude(stranger, prefix)
     awaited(fleet, lambda found: living(found) == {HERE})
-    assert stop_all(viewer, timeout=PATIENCE).answers[HERE]["message"] == "stopped"
+    assert stop_all(viewer, timeout=PATIENCE).answers[HERE].message == "stopped"
     assert "stop" in arm.commands()
     queryable.undeclare()  # type: ignore[no-untyped-call]
 

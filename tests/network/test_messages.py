@@ -9,9 +9,11 @@ import socket
 from typing import Any
 
 import pytest
+from msgspec import convert
 
 from hyperbit.controller.decoding.decoding import Unreadable
-from hyperbit.controller.messages.reading import TELL_EVERY, UnreadCount, filled, read
+from hyperbit.controller.messages.reading import TELL_EVERY, UnreadCount, read
+from hyperbit.controller.messages.state import State
 from hyperbit.controller.network.endpoints import owner_of, parse_endpoint, port_taken
 from tests.clock import Clock
 
@@ -22,10 +24,10 @@ def written(**fields: Any) -> bytes:
     return json.dumps({**STATE, **fields}).encode()
 
 
-def test_a_message_stays_as_it_is_and_absent_fields_have_defaults_when_asked_for() -> None:
+def test_a_message_stays_as_it_is_and_its_type_has_defaults_of_absent_fields() -> None:
     assert read("state", written()) == STATE
-    full = filled("state", STATE)
-    assert (full["faults"], full["tip"], full["from_a_later_version"]) == ([], None, 1)
+    full = convert(STATE, State)
+    assert (full.faults, full.tip, full.measured) == ([], None, [None, 1])
     assert read("later_key", b'{"a": 1}') == {"a": 1}
 
 

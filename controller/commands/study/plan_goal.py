@@ -116,7 +116,7 @@ def of_daemon(arm: Arm, payload: Plan, connect: str, zenoh_file: Path | None) ->
             return None
         client = stack.enter_context(contextlib.closing(Client(session, arm.settings.name)))
         try:
-            text, sent = client.next_message("state")["configuration"], client.describe()["sent_obstacles"]
+            text, sent = client.next_state().configuration, client.describe().sent_obstacles
             obstacles = decode_obstacles(json.dumps({"regions": sent}).encode(), arm.manipulator.dimension)
             words = f"from where the arm is: {f'configuration {text}' if text else 'in no configuration'}"
             start = Start(text, words, obstacles)

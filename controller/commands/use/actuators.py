@@ -15,7 +15,9 @@ from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, Locks, Switches, Wait, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, counted, print_json, refusal
 from hyperbit.controller.commands.connection import ask, connected, named
-from hyperbit.controller.messages.reading import filled
+from hyperbit.controller.decoding.decoding import convert
+from hyperbit.controller.messages.goals import Result
+from hyperbit.controller.messages.state import State
 from hyperbit.controller.network.endpoints import START
 
 PAUSE = 0.002  # [s]; deploy/zenoh-tls.json5 drops a second request of a kind within a millisecond
@@ -57,9 +59,9 @@ def jog(
     if result.get("code") != 0:
         raise refusal(result, named(arm, connect, zenoh_file))
     if not as_json:
-        result = filled("result", result)
-        times = [f"{travel['actuator']} in {travel['seconds'] * 1e3:.0f} ms" for travel in result["travels"]]
-        typer.echo(f"{result['message']}, {counted(result['switches'])}" + (f": {', '.join(times)}" if times else ""))
+        told = convert(result, Result)
+        times = [f"{travel.actuator} in {travel.seconds * 1e3:.0f} ms" for travel in told.travels or ()]
+        typer.echo(f"{told.message}, {counted(told.switches)}" + (f": {', '.join(times)}" if times else ""))
 
 
 def lock(
@@ -79,19 +81,19 @@ def lock(
             time.sleep(PAUSE)
         if wait:
             found = locked_state(states, dict(wanted))
-            if found["mode"] == "fault" and not as_json:
-                typer.echo(f"the arm is in fault: {found['reason']}")
+            if found.mode == "fault" and not as_json:
+                typer.echo(f"the arm is in fault: {found.reason}")
 
 
-def locked_state(states: queue.SimpleQueue[dict[str, Any]], wanted: dict[str, int | None]) -> dict[str, Any]:
+def locked_state(states: queue.SimpleQueue[dict[str, Any]], wanted: dict[str, int | None]) -> State:
     """Returns the first state with these locks, None: free, in which the planner's tables are built."""
     while True:
         try:
-            state = filled("state", states.get(timeout=SILENCE))
+            state = convert(states.get(timeout=SILENCE), State)
         except queue.Empty:
             raise CommandFailed("locked, but the daemon does not publish its state", START) from None
-        locks = {entry["actuator"]: entry["state"] for entry in state["degraded"]}
-        if state["mode"] != "starting" and all(locks.get(name) == lock for name, lock in wanted.items()):
+        locks = {lock.actuator: lock.state for lock in state.degraded}
+        if state.mode != "starting" and all(locks.get(name) == lock for name, lock in wanted.items()):
             return state
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
+from msgspec import to_builtins
 from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.table import Table
@@ -22,6 +23,7 @@ from hyperbit.controller.commands.arguments import AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, print_json, print_table, results_table
 from hyperbit.controller.commands.connection import open_session, zenoh_config
 from hyperbit.controller.commands.use.watch import COLOURS, reason_and_faults
+from hyperbit.controller.messages.state import State
 from hyperbit.controller.network.endpoints import START
 
 if TYPE_CHECKING:
@@ -115,7 +117,8 @@ def lost(where: str) -> str:
 
 def fields_of(arm: ArmStatus) -> dict[str, Any]:
     """Returns an arm as the fields of a line of JSON; those of the state are null if no state came."""
-    state = {field: arm.state and arm.state[field] for field in ("mode", "reason", "simulated", "goal", "faults")}
+    names = ("mode", "reason", "simulated", "goal", "faults")
+    state = {name: None if arm.state is None else to_builtins(getattr(arm.state, name)) for name in names}
     daemon = {"host": arm.host, "version": arm.version}
     alive = {"alive": arm.gone_at is None, "gone_at": arm.gone_at, "old": arm.is_old}
     return {"name": arm.address.name, "namespace": arm.address.namespace, **state, **daemon, **alive}
@@ -126,9 +129,9 @@ def line_of_arm(arm: ArmStatus) -> str:
         return f"{arm.address}: gone"
     if arm.state is None:
         return f"{arm.address}: alive, but it publishes no state" + (" that can be read" if arm.age is not None else "")
-    simulated = " (simulated)" if arm.state["simulated"] else ""
+    simulated = " (simulated)" if arm.state.simulated else ""
     old = "publishes no state any more; the last was: " if arm.is_old else ""
-    return f"{arm.address}{simulated}: {old}{arm.state['mode']}, {'; '.join(reason_and_faults(arm.state))}"
+    return f"{arm.address}{simulated}: {old}{arm.state.mode}, {'; '.join(reason_and_faults(arm.state))}"
 
 
 def view_of(arms: Sequence[ArmStatus], where: str, *, connected: bool) -> RenderableType:
@@ -138,7 +141,7 @@ def view_of(arms: Sequence[ArmStatus], where: str, *, connected: bool) -> Render
     if not arms:
         return Text(f"no arm at {where} yet")
     alive = [arm for arm in arms if arm.gone_at is None]
-    faulty = sum(bool(arm.state and arm.state["faults"]) for arm in alive)
+    faulty = sum(bool(arm.state and arm.state.faults) for arm in alive)
     summary = f"{len(alive)} alive, {len(arms) - len(alive)} gone, {faulty} with faults"
     return Group(Text(summary), filled(terminal_table(), arms))  # a low terminal cuts the last rows
 
@@ -153,12 +156,12 @@ def terminal_table() -> Table:
 def filled(table: Table, arms: Sequence[ArmStatus], absence: str = "gone") -> Table:
     """Adds a row for each arm; returns the table. `absence` is the mode of an arm without liveliness token."""
     for arm in arms:
-        state = arm.state or {"simulated": False, "goal": None, "faults": []}
-        name = f"{arm.address.name} (simulated)" if state["simulated"] else arm.address.name
-        faults = "; ".join(f"{fault['code']}: {fault['message']}" for fault in state["faults"])
+        state = arm.state or State("")
+        name = f"{arm.address.name} (simulated)" if state.simulated else arm.address.name
+        faults = "; ".join(f"{fault.code}: {fault.message}" for fault in state.faults)
         cells = (arm.address.namespace, name, arm.host or "", arm.version or "")
         dim = "dim" if arm.gone_at is not None or arm.is_old else ""
-        table.add_row(*map(Text, cells), mode_of(arm, absence), Text(state["goal"] or ""), Text(faults), style=dim)
+        table.add_row(*map(Text, cells), mode_of(arm, absence), Text(state.goal or ""), Text(faults), style=dim)
     return table
 
 
@@ -168,8 +171,8 @@ def mode_of(arm: ArmStatus, absence: str) -> Text:
     if arm.state is None:
         return Text("" if arm.is_new else "no state", style="yellow")
     if arm.is_old:
-        return Text(f"{arm.state['mode']} {arm.age:.0f} s ago", style="yellow")
-    return Text(arm.state["mode"], style=COLOURS.get(arm.state["mode"], ""))
+        return Text(f"{arm.state.mode} {arm.age:.0f} s ago", style="yellow")
+    return Text(arm.state.mode, style=COLOURS.get(arm.state.mode, ""))
 
 
 def clock(stamp: float | None = None) -> str:

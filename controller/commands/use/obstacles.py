@@ -13,6 +13,7 @@ from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import print_json
 from hyperbit.controller.commands.connection import ask, connected, named
+from hyperbit.controller.messages.arm import Description
 
 REGIONS = "Obstacles, YAML or JSON: a list `regions`, written as `obstacles` in the arm's file. Without it: list."
 KINDS = ("disc", "sphere", "box", "half_plane", "half_space")
@@ -39,14 +40,14 @@ def obstacles(
             ask(client, named(arm, connect, zenoh_file), "obstacles", payload, as_json)
 
 
-def print_obstacles(description: dict[str, Any], as_json: bool) -> None:
-    told = {"file": description["obstacles"], "sent": description["sent_obstacles"]}
+def print_obstacles(arm: Description, as_json: bool) -> None:
+    told = {"file": arm.obstacles, "sent": arm.sent_obstacles}
     if as_json:
         print_json({"obstacles": told["file"], "sent_obstacles": told["sent"]})
         return
     for source, entries in told.items():
         for entry in entries:
-            kind = next((kind for kind in KINDS if entry.get(kind)), None)
+            kind = next((kind for kind in KINDS if isinstance(entry.get(kind), dict)), None)
             if kind is None:
                 continue
             fields = ", ".join(f"{name} {value}" for name, value in entry[kind].items() if value is not None)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from msgspec import Struct, to_builtins
 
 from hyperbit.controller.armfile.goal_files import read_goal
 from hyperbit.controller.armfile.strict import InputFaults
@@ -13,12 +14,27 @@ from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, print_json
 from hyperbit.controller.commands.connection import ask, connected, named
+from hyperbit.controller.decoding.decoding import Unreadable, convert
+from hyperbit.controller.messages.arm import NamedPose
+from hyperbit.controller.messages.parts import Orientation, Position
 
 if TYPE_CHECKING:
     from hyperbit.controller.network.client import Client
 
 SAVE = "Save a pose under this name: the goal of FILE, or the arm's present configuration."
 FILE = "File of the goal to save: YAML, JSON or CSV, as `send` takes it."
+
+
+class Waypoint(Struct):
+    configuration: str | None = None
+    position: Position | None = None
+    orientation: Orientation | None = None
+
+
+class SavedGoal(Struct):
+    """The part of a goal that a list of poses shows."""
+
+    waypoints: list[Waypoint] = []
 
 
 def poses(
@@ -38,7 +54,7 @@ def poses(
     further = named(arm, connect, zenoh_file)
     with connected(arm, connect, zenoh_file) as client:
         if save is not None:
-            if not replace and save in (pose["name"] for pose in client.describe()["poses"]):
+            if not replace and save in (pose.name for pose in client.describe().poses):
                 raise CommandFailed(f"{arm} has a pose {save!r} already", "give another name, or --replace")
             ask(
                 client,
@@ -50,28 +66,31 @@ def poses(
         elif remove is not None:
             ask(client, further, "poses", {"remove": remove}, as_json)
         else:
-            print_poses(client.describe()["poses"], as_json)
+            print_poses(client.describe().poses, as_json)
 
 
 def present(client: Client, arm: str) -> dict[str, Any]:
-    state = client.next_message("state")
-    if state["configuration"] is None:
-        raise CommandFailed(f"{arm} is in no configuration: {state['reason']}", "save a goal's file instead")
-    return {"waypoints": [{"configuration": state["configuration"]}]}
+    state = client.next_state()
+    if state.configuration is None:
+        raise CommandFailed(f"{arm} is in no configuration: {state.reason}", "save a goal's file instead")
+    return {"waypoints": [{"configuration": state.configuration}]}
 
 
-def print_poses(listed: list[dict[str, Any]], as_json: bool) -> None:
+def print_poses(listed: list[NamedPose], as_json: bool) -> None:
     for pose in listed:
         if as_json:
-            print_json(pose)
+            print_json(to_builtins(pose))
             continue
-        waypoints = pose["goal"].get("waypoints", [])
+        try:
+            waypoints = convert(pose.goal, SavedGoal).waypoints
+        except Unreadable:  # of a stranger
+            waypoints = []
         more = "" if len(waypoints) < 2 else f", and {len(waypoints) - 1} more waypoints"
-        typer.echo(f"{pose['name']}: {shown(waypoints[0]) if waypoints else 'no waypoint'}{more}")
+        typer.echo(f"{pose.name}: {shown(waypoints[0]) if waypoints else 'no waypoint'}{more}")
 
 
-def shown(waypoint: dict[str, Any]) -> str:
-    if "configuration" in waypoint:
-        return f"configuration {waypoint['configuration']}"
-    position = ", ".join(f"{x:g}" for x in waypoint.get("position", ()))
-    return f"({position})" + (" with an orientation" if waypoint.get("orientation") is not None else "")
+def shown(waypoint: Waypoint) -> str:
+    if waypoint.configuration is not None:
+        return f"configuration {waypoint.configuration}"
+    position = ", ".join(f"{x:g}" for x in waypoint.position or ())
+    return f"({position})" + (" with an orientation" if waypoint.orientation is not None else "")

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from msgspec import to_builtins
 
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import ENDPOINT
@@ -13,6 +14,7 @@ from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, Zen
 from hyperbit.controller.commands.common import CommandFailed, print_json
 from hyperbit.controller.commands.completion import complete_arms
 from hyperbit.controller.commands.connection import ask, connected, named, open_session
+from hyperbit.controller.messages.goals import Answer
 from hyperbit.controller.network.endpoints import START
 
 ALL = "Stop all arms of the network, also below namespaces, and tell which have stopped."
@@ -49,16 +51,16 @@ def stop_arms(connect: str, zenoh_file: Path | None, as_json: bool) -> None:
 
     with open_session(connect, zenoh_file) as session:
         report = stop_all(session)
-    silent = {"accepted": False, "message": "no answer: stop it by another way, and cut its power if it moves"}
+    silent = Answer(accepted=False, message="no answer: stop it by another way, and cut its power if it moves")
     answers = {**report.answers, **dict.fromkeys(report.silent, silent)}
     failures = []
     for arm, answer in answers.items():
         if as_json:
-            print_json({"name": arm.name, "namespace": arm.namespace, **answer})
-        if not answer["accepted"]:
-            failures.append(f"{arm}: {answer['message']}")
+            print_json({"name": arm.name, "namespace": arm.namespace, **to_builtins(answer)})
+        if not answer.accepted:
+            failures.append(f"{arm}: {answer.message}")
         elif not as_json:
-            typer.echo(f"{arm}: {answer['message']}")
+            typer.echo(f"{arm}: {answer.message}")
     if failures:
         raise CommandFailed("\n".join(failures))
     if not answers:

@@ -16,7 +16,8 @@ from hyperbit.controller.commands import ENDPOINT, common
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, counted, print_json, refusal
 from hyperbit.controller.commands.connection import connected, named
-from hyperbit.controller.messages.reading import filled
+from hyperbit.controller.decoding.decoding import convert
+from hyperbit.controller.messages.goals import Feedback, Result
 
 if TYPE_CHECKING:
     from hyperbit.controller.network.client import Client
@@ -62,8 +63,8 @@ def send(
         if pose is not None:
             goal = {**goal_of_pose(client, pose, further), **goal}
         if to is not None and numbers == 3:  # X,Y,Z or X,Y,TH: the arm's dimension decides
-            goal["waypoints"] = [waypoint(*parse_goal(to.split(","), client.describe()["dimension"], "--to"))]
-        unit = "" if as_json else unit_mark(client.describe()["unit"])
+            goal["waypoints"] = [waypoint(*parse_goal(to.split(","), client.describe().dimension, "--to"))]
+        unit = "" if as_json else unit_mark(client.describe().unit)
         result = run_goal(client, goal, as_json, unit)
     print_result(result, further, as_json, unit)
 
@@ -73,13 +74,12 @@ def waypoint(position: list[float], orientation: Orientation) -> dict[str, Any]:
 
 
 def goal_of_pose(client: Client, name: str, arm: str) -> dict[str, Any]:
-    known = {pose["name"]: pose["goal"] for pose in client.describe()["poses"]}
+    known = {pose.name: pose.goal for pose in client.describe().poses}
     if name not in known:
         raise CommandFailed(
             f"{shlex.split(arm)[0]} has no pose {name!r}; it has {', '.join(known)}", f"hyperbit poses {arm}"
         )
-    goal: dict[str, Any] = known[name]
-    return goal
+    return known[name]
 
 
 def run_goal(client: Client, goal: dict[str, Any], as_json: bool, unit: str) -> dict[str, Any]:
@@ -89,10 +89,10 @@ def run_goal(client: Client, goal: dict[str, Any], as_json: bool, unit: str) -> 
         if as_json:
             print_json(message)
         elif message.get("waypoint") is not None:
-            message = filled("feedback", message)
+            feedback = convert(message, Feedback)
             common.console.print(
-                f"waypoint {message['waypoint'] + 1} of {message['waypoints']}: error {errors_of(message, unit)},"
-                f" {counted(message['switches'])} so far"
+                f"waypoint {(feedback.waypoint or 0) + 1} of {feedback.waypoints}: error {errors_of(feedback, unit)},"
+                f" {counted(feedback.switches)} so far"
             )
         elif message.get("accepted"):
             common.console.print(message["message"])
@@ -112,12 +112,10 @@ def print_result(result: dict[str, Any], arm: str, as_json: bool, unit: str) -> 
     if result.get("code") != 0:
         raise refusal(result, arm)
     if not as_json:
-        result = filled("result", result)
-        position = ", ".join(f"{x:.4f}" for x in result["position"] or ()) or "unknown"
-        common.console.print(
-            f"reached ({position}){unit}, error {errors_of(result, unit)}, {counted(result['switches'])}"
-        )
-        if (why := result["message"].removeprefix("reached").lstrip("; ")) != "":
+        told = convert(result, Result)
+        position = ", ".join(f"{x:.4f}" for x in told.position or ()) or "unknown"
+        common.console.print(f"reached ({position}){unit}, error {errors_of(told, unit)}, {counted(told.switches)}")
+        if (why := told.message.removeprefix("reached").lstrip("; ")) != "":
             common.console.print(why)
 
 
@@ -131,9 +129,9 @@ def cancel_goal(client: Client, goal: str, as_json: bool) -> None:
         common.console.print(f"goal {goal}: {answer['message']}")
 
 
-def errors_of(message: dict[str, Any], unit: str) -> str:
+def errors_of(told: Feedback | Result, unit: str) -> str:
     """Returns the position error in a message, and the orientation error [rad] if the goal has an orientation."""
-    if message["error"] is None:
+    if told.error is None:
         return "unknown"
-    angle = message["orientation_error"]
-    return f"{message['error']:.4f}{unit}" + ("" if angle is None else f" and {angle:.4f} rad")
+    angle = told.orientation_error
+    return f"{told.error:.4f}{unit}" + ("" if angle is None else f" and {angle:.4f} rad")
