@@ -226,6 +226,7 @@ class BoardWorld:
         arm.pass_time(0.02)
         if any(arm.board(name).state is State.STOPPED for name in arm.looks):
             arm.repair()
+        arm.wait(lambda: arm.master.calm, LONGEST_BOOT, "calm")  # a slow board may still take a write of this master
         arm.boot(new=True)
 
     def counted(self) -> Counter[str]:
