@@ -38,7 +38,7 @@ from hyperbit.controller.manipulator.notation import format_configuration, parse
 from hyperbit.controller.messages.goals import Answer, refused
 from hyperbit.controller.motion.decoding.goal import parse
 from hyperbit.controller.motion.decoding.requests import decode_obstacles
-from hyperbit.controller.motion.stages.program import pack_states
+from hyperbit.controller.motion.stages.program import packed
 from hyperbit.controller.motion.trajectory import upwards
 from hyperbit.controller.obstacles.obstacles import NONE, Obstacles, together
 from hyperbit.controller.planning.core import tasks
@@ -149,10 +149,10 @@ class Alone:
         if (wrong := np.flatnonzero((locked >= 0) & (locked != states))).size:
             label = arm.manipulator.actuators[wrong[0]]
             raise CommandFailed(f"--previous: {label} is stuck in another state, see `actuators` of the arm's file")
-        packed, mask = (pack_states(row[None].astype(np.uint8))[0] for row in (states, locked >= 0))
+        at, mask = packed(states), packed(locked >= 0)
         tables = build_tables(arm, densities_of(arm), weights_of(arm), tasks.BuildTables(0, locked.tobytes()))
         scene = build_scene(arm, tasks.BuildScene(0, NONE)).scene
-        self._basis = tasks.Basis(tasks.ArmStart(packed, packed, packed, mask), tables, scene)
+        self._basis = tasks.Basis(tasks.ArmStart(at, at, at, mask), tables, scene)
         self._model = ArmModel(arm, "queries")
 
     def plan(self, payload: dict[str, Any]) -> Plan:

@@ -14,8 +14,13 @@ if TYPE_CHECKING:  # their kernels take seconds to import
 States = NDArray[np.uint8]
 
 
+def packed(states: NDArray[np.generic]) -> bytes:
+    """Returns actuator states (A,) in the executor's packing: actuator a is bit a % 8 of byte a // 8."""
+    return np.packbits(states.astype(np.bool_), bitorder="little").tobytes()
+
+
 def pack_states(states: States) -> list[bytes]:
-    """Returns actuator states (k, A) in the executor's packing: actuator a is bit a % 8 of byte a // 8."""
+    """Returns actuator states (k, A), each row packed as by `packed`."""
     return [row.tobytes() for row in np.packbits(states, axis=1, bitorder="little")]
 
 

@@ -11,7 +11,7 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from hyperbit.controller.messages.arm import PlayableFault, Simulation
-from hyperbit.controller.motion.stages.program import pack_states, unpack_states
+from hyperbit.controller.motion.stages.program import States, packed, unpack_states
 from hyperbit.controller.planning.core.tasks import ArmStart
 from hyperbit.controller.program import Diagnostics, Ended, Mode, Settled, Snapshot, Welcome
 from hyperbit.controller.refusals.reasons import Reason
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
     from hyperbit.controller.motion.stages.pacing import Pace
 
-States = NDArray[np.uint8]
 Measured = NDArray[np.int8]  # actuator states, -1 unknown
 
 # The fields of a snapshot from which the arrays of an `ArmState` follow.
@@ -32,10 +31,6 @@ def measured_states(measured: bytes, known: bytes, actuators: int) -> Measured:
     """Unpacks measured states to shape (A,); -1 where they are unknown."""
     states = unpack_states(measured, actuators).astype(np.int8)
     return np.where(unpack_states(known, actuators) == 1, states, -1).astype(np.int8)
-
-
-def packed(states: NDArray[np.generic]) -> bytes:
-    return np.packbits(states.astype(np.uint8), bitorder="little").tobytes()
 
 
 class ArmState:
@@ -133,14 +128,6 @@ class ArmState:
         """Why the resting arm is in no configuration; None if it is in one, moves, or a board is missing."""
         return self._spelled if isinstance(self._spelled, str) and not self.snapshot.moving else None
 
-    def pack(self, stages: States) -> list[bytes]:
-        """Returns stages (k, A) packed for the executor, which sets the bits of locked actuators itself."""
-        return pack_states(np.where(self.locked, self.outputs, stages).astype(np.uint8))
-
-    def real(self, states: bytes) -> bytes:
-        """Returns packed states of a stage with the states of locked actuators, for checks of collisions."""
-        return packed(np.where(self.locked, self.commanded, self.unpacked(states)))
-
     def unpacked(self, states: bytes) -> States:
         """Unpacks states to an array (A,); empty bytes mean zeros."""
         actuators = len(self.manipulator.actuators)
@@ -202,7 +189,7 @@ class ExecutorView:
         """Returns the earliest start of a packed stage [s]: the last one has ended, and its actuators have rested."""
         waits, rest, ready = self._pace.inrush is not None or strict, self._pace.rest, -np.inf
         if waits or rest > 0:
-            differ = state.commanded != state.unpacked(state.real(stage))
+            differ = state.commanded != state.unpacked(state.start.real(stage))
             if differ.any() and waits:
                 ready = self._switched_at.max() + self._travel
             if differ.any() and rest > 0:

@@ -19,10 +19,10 @@ from hyperbit.controller.messages.parts import Pose
 from hyperbit.controller.messages.state import Progress
 from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
 from hyperbit.controller.motion.stages.feed import Feed, PlannedPoint, PlanProof, Route
-from hyperbit.controller.motion.stages.program import delay_of, in_groups
+from hyperbit.controller.motion.stages.program import States, delay_of, in_groups, packed
 from hyperbit.controller.motion.targets import GoalTarget, measured_pose
 from hyperbit.controller.motion.trajectory import Trajectory
-from hyperbit.controller.planning.core.arm import ArmState, Measured, States, packed
+from hyperbit.controller.planning.core.arm import ArmState, Measured
 from hyperbit.controller.planning.core.events import PublishResult
 from hyperbit.controller.planning.core.parts import Parts, Pending, Ticket
 from hyperbit.controller.planning.core.tasks import Basis, Planned
@@ -269,7 +269,7 @@ def make_program(parts: Parts, goal: Goal, state: ArmState) -> None:
     else:
         assert isinstance(goal.wanted, Jog)
         assert planned is not None
-        name, wanted, stages = f"jog {goal.id}", goal.wanted.states, tuple(state.pack(planned))
+        name, wanted, stages = f"jog {goal.id}", goal.wanted.states, tuple(state.start.sent(planned))
         points, times, others = (PlannedPoint(0, stages, None, 0),), (pace.lead * len(stages),), (False,)
         switches = int(np.count_nonzero(state.commanded != planned[-1]))
         named = ", ".join(f"{labels[k]} {STATES[to]}" for k, to in wanted.items())

@@ -12,8 +12,9 @@ from hyperbit.controller.host.journal import fields_of_refusal
 from hyperbit.controller.host.process import Log
 from hyperbit.controller.messages.goals import refused
 from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
+from hyperbit.controller.motion.stages.program import packed
 from hyperbit.controller.planning.core import tasks
-from hyperbit.controller.planning.core.arm import obstruction, packed
+from hyperbit.controller.planning.core.arm import obstruction
 from hyperbit.controller.planning.core.events import Request
 from hyperbit.controller.planning.core.goal import Goal, jog_stages, make_program, unsure_of
 from hyperbit.controller.planning.core.parts import Parts

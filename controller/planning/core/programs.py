@@ -184,8 +184,8 @@ class Programs:
             while (unchecked := goal.feed.to_check()) is not None and scene.free:
                 goal.feed.note_clear(unchecked.until)
             if unchecked is not None:
-                stages = tuple(map(state.real, unchecked.stages))
-                task = tasks.CheckStages(scene, state.real(unchecked.before), stages)
+                real = state.start.real
+                task = tasks.CheckStages(scene, real(unchecked.before), tuple(map(real, unchecked.stages)))
                 goal.checking = self._jobs.start(task, partial(self._checked, goal, unchecked.until))
             else:
                 self._obstacles.note(f"goal {goal.id} goes on, its stages are clear")

@@ -6,10 +6,14 @@ others use them. The core stores them, compares their generations, and does not 
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from hyperbit.controller.messages.goals import Plan
 from hyperbit.controller.motion.decoding.goal import GoalMessage
 from hyperbit.controller.motion.stages.feed import Improved, PlannedPoint, PlanProof
+from hyperbit.controller.motion.stages.program import States, pack_states, unpack_states
 from hyperbit.controller.motion.trajectory import Trajectory
+from hyperbit.controller.program import unpack
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal, Refused
 
@@ -31,6 +35,18 @@ class ArmStart(NamedTuple):  # start of a plan; a plan holds for each equal star
     commanded: bytes  # states from which stages begin: the outputs, the locked state for a locked actuator
     states: bytes  # states to plan from: measured at rest, commanded while actuators travel
     locked: bytes  # mask of the locked actuators
+
+    def sent(self, stages: States) -> list[bytes]:
+        """Returns stages (k, A) packed for the executor: a locked actuator keeps its output."""
+        if any(self.locked):
+            locked, outputs = (unpack_states(states, stages.shape[1]) for states in (self.locked, self.outputs))
+            stages = np.where(locked, outputs, stages)
+        return pack_states(stages)
+
+    def real(self, states: bytes) -> bytes:
+        """Returns packed states of a stage with the states of locked actuators, for checks of collisions."""
+        locked, told, known = (unpack(bits) for bits in (self.locked, states, self.commanded))
+        return ((told & ~locked) | (known & locked)).to_bytes(len(states), "little")
 
 
 class Basis(NamedTuple):  # premises of a plan; the plan is dropped after a change of any of the three

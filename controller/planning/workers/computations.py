@@ -21,7 +21,7 @@ from hyperbit.controller.motion.plans.transitions import TransitionPlanner, firs
 from hyperbit.controller.motion.plans.whole import WHOLE_TIME, first_time, look_ahead
 from hyperbit.controller.motion.stages.feed import Improved, PlannedPoint, PlanProof, most_stages
 from hyperbit.controller.motion.stages.pacing import Blocked, Staged, pace_of
-from hyperbit.controller.motion.stages.program import pack_states, unpack_states
+from hyperbit.controller.motion.stages.program import unpack_states
 from hyperbit.controller.motion.tracking.following import SetpointQuery, find, stages_to
 from hyperbit.controller.obstacles.keep_out import KeepOutSet, States
 from hyperbit.controller.obstacles.single_switches import arm_switches
@@ -81,12 +81,6 @@ class ArmModel:
 
     def unpack(self, packed: bytes) -> States:
         return unpack_states(packed, len(self.arm.manipulator.actuators))
-
-    def pack(self, start: tasks.ArmStart, stages: States) -> list[bytes]:
-        """Returns stages (k, A) packed for the executor; locked actuators keep their bits of the outputs."""
-        if any(start.locked):
-            stages = np.where(self.unpack(start.locked), self.unpack(start.outputs), stages)
-        return pack_states(stages)
 
     def configuration(self, start: tasks.ArmStart, reduced: Manipulator) -> Configuration:
         """Returns the configuration (B,) of the reduced arm to plan from, or raises Refusal."""
@@ -205,7 +199,7 @@ def points_of(
     `before` is packed; its bits of locked actuators do not matter. `first` is the index of the first point.
     """
     stages = [transition.stages for transition in transitions]
-    packed = iter(model.pack(start, stages[0] if len(stages) == 1 else np.concatenate(stages)))
+    packed = iter(start.sent(stages[0] if len(stages) == 1 else np.concatenate(stages)))
     free, last = ~int.from_bytes(start.locked), int.from_bytes(before)
     for point, transition in enumerate(transitions, first):
         own, switches = tuple(islice(packed, len(transition.stages))), 0
@@ -316,7 +310,7 @@ def follow(model: ArmModel, task: tasks.FollowSetpoint) -> tasks.Followed:
         stages = stages_to(query, found.configuration, model.arm.manipulator, model.pace)
     except Blocked as blocked:
         return tasks.Followed((), f", but the transition to it is blocked: {blocked}", True, seconds)
-    return tasks.Followed(tuple(model.pack(arm_start, stages)), "", True, seconds)
+    return tasks.Followed(tuple(arm_start.sent(stages)), "", True, seconds)
 
 
 # --- collisions
