@@ -77,10 +77,10 @@ class EachGoalHasOneResult(OfClients):
 
     def answered(self, request: Request, answer: Payload) -> None:
         if request.key in ("goal", "jog") and answer["accepted"]:
-            ran = [ran for ran in self.exchange.ran(answer["id"]) if ran.result_at > request.at]
-            alike = [r for r in self.exchange.requests if r.sent is not None and r.sent == request.sent]
-            again = any(r.answer == answer for r in alike)
-            self.require(ran or again, lambda: f"{request} is accepted, and no executor has it")
+            alike = (r.at for r in self.exchange.requests if r.sent is not None and r.sent == request.sent)
+            first = min(alike, default=request.at)  # whose answer may be lost
+            ran = [ran for ran in self.exchange.ran(answer["id"]) if ran.result_at > first]
+            self.require(ran, lambda: f"{request} is accepted, and no executor has it")
         elif request.key == "result" and answer.get("result"):
             told = [one.results[0]["status"] for one in self.exchange.ran(answer["result"]["id"]) if one.results]
             right = answer["result"]["status"] in told
