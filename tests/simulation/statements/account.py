@@ -285,7 +285,9 @@ class Account(Witness):
                 self.ordered.setdefault(name, self.world.boards.simulated.board(name).state)
         elif frame.id == cia301.SYNC and (commanded := self._commanded.get(bus)) is not None:
             asked = [(motion, stages) for motion, stages in commanded.asked if motion.barred_at == math.inf]
-            return commanded._replace(at=self.now, asked=asked)
+            # An RPDO that a program has left on the board may serve the next program.
+            number = commanded.program if self.running is None else self.running.number
+            return commanded._replace(at=self.now, asked=asked, program=number)
         return None
 
     def leaves(self, bus: str, frame: Frame, missing: int) -> None:
