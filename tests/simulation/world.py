@@ -23,7 +23,7 @@ from tests.simulation.faults.sight import Sight
 from tests.simulation.faults.trouble import Trouble
 from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.record import Record
-from tests.simulation.single_faults import SingleFaults
+from tests.simulation.single_faults import SHOWN, SingleFaults
 from tests.simulation.statements.account import Account
 from tests.simulation.statements.every import of_clients, of_the_executor
 from tests.simulation.statements.objects import BoardObjects
@@ -189,6 +189,8 @@ class World(StruckWorld):
             run_a_program(self)
         else:
             run_a_goal(self, self.daemon)
+        self.wait(self.settled, "ready", self.ready_within)
+        self.pass_time(SHOWN)  # a SYNC may be on the bus as a program is canceled
         self.wait(self.settled, "ready", self.ready_within)
         self._check_agreement()
         if self.daemon is not None:
