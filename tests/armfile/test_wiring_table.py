@@ -91,7 +91,7 @@ def test_copies_of_the_file_have_the_table(tmp_path: Path) -> None:
     assert len(load(patient_copy(path, folder)).wiring) == 3
     told = file(load(path))
     assert told is not None
-    assert told["tables"] == {"wires.csv": TABLE}
+    assert told.tables == {"wires.csv": TABLE}
 
 
 @given(st.integers(0, 2031), st.booleans(), st.none() | st.just("can1/9"))

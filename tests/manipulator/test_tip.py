@@ -104,8 +104,8 @@ def test_a_tip_is_read_from_the_arms_file(read):
     arm, home = read(value), np.zeros(len(bare.manipulator.modules), dtype=int)
     assert_allclose(arm.tip, planar(0.1, 0.2, 0.3))
     assert_allclose(arm.manipulator.tip(home), bare.manipulator.tip(home) @ arm.tip)
-    assert_allclose(description(arm)["tip"], arm.tip)
-    assert_allclose(description(bare)["tip"], np.eye(4))
+    assert_allclose(description(arm).tip, arm.tip)
+    assert_allclose(description(bare).tip, np.eye(4))
     assert arm.digest != bare.digest
     assert_allclose(inverse(arm.tip) @ arm.tip, np.eye(4), atol=1e-12)
 
