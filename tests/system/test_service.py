@@ -104,7 +104,7 @@ def test_frozen_and_slow_readers_delay_nobody(client: Observer, system: System, 
             for _ in range(10):
                 assert client.ask("plan", waypoints=far)["accepted"]
         assert client.diagnosed()["queues"]["outbox"] < 100
-        assert client.wait_now("ready")["faults"] == []
+        assert client.faults(client.wait_now("ready")) == []
     finally:
         ending.set()
         reader.send_signal(signal.SIGKILL)

@@ -23,7 +23,7 @@ def test_ready_at_start_with_measured_states(system: System, arm: Arm) -> None:
     assert state["measured"] == state["commanded"] == [0] * len(arm.manipulator.actuators)
     assert state["configuration"] == "0" * 16
     assert state["tip"]["position"] == pytest.approx(arm.manipulator.tip([0] * 16)[:2, 3].tolist())
-    assert (state["goal"], state["faults"]) == (None, [])
+    assert (state["goal"], client.faults(state)) == (None, [])
     assert not system.boards.switches().any()
 
 

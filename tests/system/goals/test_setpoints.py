@@ -52,7 +52,7 @@ def test_the_arm_follows_and_bad_setpoints_change_nothing(
     assert told["refused"] > 5
     assert told["last_refusal"]
     assert not told["alive"]
-    assert client.wait_now("ready")["faults"] == []
+    assert client.faults(client.wait_now("ready")) == []
 
 
 def test_a_stream_that_rests_is_met(client: Observer, publisher: Publisher, boards: Simulation, arm: Arm) -> None:

@@ -42,7 +42,7 @@ class Observer:
         """Sends a goal; by default one waypoint now, or one every 0.2 s; slower on a slow machine."""
         times = times or [0.2 * k for k in range(len(positions))]
         points = [{"t": t * SLOWNESS, "position": list(position)} for t, position in zip(times, positions, strict=True)]
-        return self.send("goal", waypoints=points, **fields)
+        return self.send("goal", **{"waypoints": points, "begin_within": PATIENCE, **fields})
 
     def send(self, key: str, **payload: Any) -> Message:
         sent = time.time()
@@ -67,6 +67,11 @@ class Observer:
     @property
     def state(self) -> Message:
         return self.heard["state"][-1]
+
+    @staticmethod
+    def faults(state: Message) -> list[Message]:
+        """Returns the faults of a state but the warning of boards on SocketCAN, which count as real."""
+        return [fault for fault in state["faults"] if fault["code"] != "not-commissioned"]
 
     @property
     def codes(self) -> list[str]:
