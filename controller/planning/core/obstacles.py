@@ -27,6 +27,7 @@ LONGEST = 5.0  # [s], longest wait of the answer to new obstacles for checks of 
 
 @dataclass(eq=False)
 class Change(Pending):
+    generation: int = 0  # of its obstacles
     effects: list[str] = field(default_factory=list)  # on running goals, as sentences
 
 
@@ -57,11 +58,12 @@ class ObstacleOwner:
 
     def change(self, request: int, message: SentObstacles) -> bool:
         """Stores other obstacles; returns whether they differ from the present ones."""
-        self._requests.add(Change(request, self._moment.now))
         before, obstacles = self._sent, message.obstacles
-        if not len(obstacles) if before is None else same_content(before.obstacles, obstacles):
+        same = not len(obstacles) if before is None else same_content(before.obstacles, obstacles)
+        self.generation += not same
+        self._requests.add(Change(request, self._moment.now, self.generation))
+        if same:
             return False
-        self.generation += 1
         self._sent = message
         task = tasks.BuildScene(self.generation, obstacles)
         self._jobs.start(task, partial(self._scene_answered, self.generation))
@@ -85,7 +87,7 @@ class ObstacleOwner:
         """Answers requests if all programs in flight are checked; `unchecked` are the ids of goals that are not."""
         if self.scene is None:
             if at_once:
-                self._refuse(Refusal(Reason.SHUTTING_DOWN))
+                self._refuse(Refusal(Reason.SHUTTING_DOWN), since=0)
             return
         checked = not unchecked and self._standing_job is None
         for change in self._requests.of(Change):
@@ -102,17 +104,19 @@ class ObstacleOwner:
         if isinstance(answer, SceneBuilt):
             self._built, self._built_of = answer, self._sent
         else:  # the previous obstacles stay valid, as a new generation, because all programs were parked
+            self._refuse(Refusal(Reason.OBSTACLES_NOT_CHECKED), since=self._built.scene.generation + 1)
             self.generation += 1
             self._built = self._built._replace(scene=self._built.scene._replace(generation=self.generation))
             self._sent = self._built_of
-            self._refuse(Refusal(Reason.OBSTACLES_NOT_CHECKED))
         questions, self._questions = self._questions, []
         for question in questions:
             self.ask(question)
 
-    def _refuse(self, refusal: Refusal) -> None:
+    def _refuse(self, refusal: Refusal, since: int) -> None:
+        """Refuses the requests of the generations from `since` on; those before are in force."""
         for change in self._requests.of(Change):
-            self._requests.end(change, refused(refusal))
+            if change.generation >= since:
+                self._requests.end(change, refused(refusal))
 
     # --- the executor's questions
 
