@@ -6,10 +6,8 @@ import contextlib
 import io
 import json
 import logging
-import os
 import random
 import tempfile
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -41,7 +39,6 @@ from hyperbit.controller.messages.state import Diagnostics, State
 from hyperbit.controller.network import client as network_client
 from hyperbit.controller.network.client import Client, Unanswered
 from hyperbit.controller.network.fleet import ArmAddress, Fleet, Presence
-from hyperbit.controller.network.listener import ReceivedMessage
 from hyperbit.controller.network.stop_all import note
 from hyperbit.controller.panel.access.people import read_people
 from hyperbit.controller.panel.access.sessions import Session
@@ -49,10 +46,6 @@ from hyperbit.controller.planning.core.goal import Context
 from hyperbit.controller.planning.core.results import decode_context
 from hyperbit.controller.planning.planner import RequestDecoder
 from hyperbit.controller.program import Accepted, Malformed, Question, decode_down, decode_up, encode
-from hyperbit.controller.recorder.folder import Folder
-from hyperbit.controller.recorder.player import Player, Timeline
-from hyperbit.controller.recorder.reader import RecordingReader
-from hyperbit.controller.recorder.recorder import Limits, Recorder
 from hyperbit.controller.ros2.goal_book import GoalBook
 from hyperbit.controller.ros2.wire.cdr import serialize
 from tests import told
@@ -61,15 +54,14 @@ from tests.fuzz.executor import MESSAGES
 from tests.fuzz.judge import Flood
 from tests.fuzz.mutations import mutated
 from tests.fuzz.page import http, page, page_request
-from tests.fuzz.recordings import read_recording
-from tests.fuzz.still import Query, Reply, Sample, StillSession, Take
+from tests.fuzz.recordings import player, read_recording, recorder
+from tests.fuzz.still import ROOM, Query, Reply, Sample, StillSession, Take
 from tests.gateway.conftest import FakePlanner
 from tests.keys import DEPLOY
 from tests.ros2.rig import Rig
 from tests.ros2.world.inputs import ATTACHMENT, KINDS, TYPES, Input
 
 CORPUS = Path(__file__).with_name("corpus")
-ROOM = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 MOST_LINES = 60  # of the log, however many inputs there are
 AT_ONCE = mock.patch.object(network_client, "PAUSE", 0.0)  # a client asks again without a pause
 
@@ -124,19 +116,6 @@ def daemon() -> Take:
         assert key == "arm" or (isinstance(answer["accepted"], bool) and answer["message"]), answer
 
     take.server = server  # type: ignore[attr-defined]
-    return take
-
-
-def recorder() -> Take:
-    folder = Path(tempfile.mkdtemp(dir=ROOM))
-    one = Recorder("planar16", Folder(folder, "planar16"), Limits(10**7, 10**9))
-
-    def take(key: str, data: bytes) -> None:
-        one.receive_message(ReceivedMessage(time.monotonic_ns(), key, data))
-        one.turn()
-        for old in sorted(folder.glob("*.mcap"))[:-1]:
-            old.unlink()
-
     return take
 
 
@@ -195,25 +174,6 @@ def client() -> Take:
                 print_poses(described.poses, as_json=False)
             else:
                 ask(one, "planar16", key, {}, as_json=False)
-
-    return take
-
-
-def player() -> Take:
-    folder, began = Path(tempfile.mkdtemp(dir=ROOM)), list[Path]()
-    one = Recorder("planar16", Folder(folder, "planar16"), Limits(10**9, 10**9), began=began.append)
-    for k, (key, value) in enumerate(told.published().items()):
-        one.receive_message(ReceivedMessage(k * 10**9, key, json.dumps(value).encode()))
-    one.end_recording()
-    past, session = RecordingReader(began[0]), StillSession()
-    replay = Player(past, session, "replay", Timeline(past.begin / 1e9, past.end / 1e9))  # type: ignore[arg-type]
-
-    def take(key: str, data: bytes) -> None:
-        query = Query("replay/planar16/timeline", data)
-        replay._carry_out(query)  # type: ignore[arg-type]
-        (answer,) = [json.loads(reply) for reply in query.replies]
-        assert isinstance(answer["accepted"], bool)
-        assert answer["message"]
 
     return take
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import random
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from functools import cache
@@ -13,15 +14,18 @@ from typing import Any
 from unittest import mock
 
 from hyperbit.controller.host import files
+from hyperbit.controller.network.listener import ReceivedMessage
 from hyperbit.controller.recorder import folder as folder_module
 from hyperbit.controller.recorder import regression
 from hyperbit.controller.recorder.folder import Folder
 from hyperbit.controller.recorder.player import Player, Timeline
 from hyperbit.controller.recorder.reader import RecordingReader
+from hyperbit.controller.recorder.recorder import Limits, Recorder
 from hyperbit.controller.recorder.recording import Recording
 from hyperbit.controller.recorder.repair import BadRecording
 from tests import told
 from tests.fuzz.mutations import changed, spoiled
+from tests.fuzz.still import ROOM, Query, StillSession, Take
 from tests.recorder.samples import SECOND, read
 
 NAME = "planar16-20260101T000000Z.mcap"
@@ -124,3 +128,35 @@ def read_recording(key: str, data: bytes) -> None:
         Folder(room, "planar16").close()
         if path.exists():
             assert read(path) is not None, "what is repaired has no damage"
+
+
+def recorder() -> Take:
+    folder = Path(tempfile.mkdtemp(dir=ROOM))
+    one = Recorder("planar16", Folder(folder, "planar16"), Limits(10**7, 10**9))
+
+    def take(key: str, data: bytes) -> None:
+        one.receive_message(ReceivedMessage(time.monotonic_ns(), key, data))
+        one.turn()
+        for old in sorted(folder.glob("*.mcap"))[:-1]:
+            old.unlink()
+
+    return take
+
+
+def player() -> Take:
+    folder, began = Path(tempfile.mkdtemp(dir=ROOM)), list[Path]()
+    one = Recorder("planar16", Folder(folder, "planar16"), Limits(10**9, 10**9), began=began.append)
+    for k, (key, value) in enumerate(told.published().items()):
+        one.receive_message(ReceivedMessage(k * 10**9, key, json.dumps(value).encode()))
+    one.end_recording()
+    past, session = RecordingReader(began[0]), StillSession()
+    replay = Player(past, session, "replay", Timeline(past.begin / 1e9, past.end / 1e9))  # type: ignore[arg-type]
+
+    def take(key: str, data: bytes) -> None:
+        query = Query("replay/planar16/timeline", data)
+        replay._carry_out(query)  # type: ignore[arg-type]
+        (answer,) = [json.loads(reply) for reply in query.replies]
+        assert isinstance(answer["accepted"], bool)
+        assert answer["message"]
+
+    return take
